@@ -47,7 +47,9 @@ RIGHT = {
 """The name of a mishap by how its kind begins; the first that fits counts."""
 VAGUE = "drift"
 """Says that something has changed, and accuses nobody."""
-STARTS, LASTS, AFTER = 1500, 900, 600
+STARTS = 1500
+LASTS = 900
+AFTER = 600
 """When a mishap comes at the earliest, how long it lasts, what is watched after it: seconds of the kind."""
 BLINK = 120
 """Seconds of the kind for which a sensor that lies may still be trusted."""
@@ -79,7 +81,8 @@ class Watcher:
     """Judges samples as `replay` does with default settings, or by the monitor alone."""
 
     def __init__(self, plant: AbroadPlant, *, alone: bool) -> None:
-        kind, self.told = plant.kind, Watched("", plant.lacks or ())
+        kind = plant.kind
+        self.told = Watched("", plant.lacks or ())
         self._trusted = False
         if alone:
             settings = HealthSettings.of(kind.plant, kind.period)
@@ -111,7 +114,8 @@ class Watcher:
         return "trusted" if self._trusted else "no twin" if unmatched else "not trusted"
 
     def _push(self, sample: Sample) -> None:
-        told, standing = self.told, self._standing
+        told = self.told
+        standing = self._standing
         if self._twin is None:
             self._monitor.push(self._settle(sample))
         else:
@@ -169,7 +173,8 @@ def _healthy(order: Order) -> list[Watched]:
 
 def _row(name: str, found: Sequence[tuple[Order, Watched]]) -> str:
     watched = [w for _, w in found]
-    hours, samples = sum(order.hours for order, _ in found), sum(len(w.trusted) for w in watched)
+    hours = sum(order.hours for order, _ in found)
+    samples = sum(len(w.trusted) for w in watched)
     names = Counter(a.fault.value for w in watched for a in w.alarms)
     alarms = ", ".join(f"{100 * n / hours:.0f} {fault}" for fault, n in names.most_common()) or "none"
     verdicts = sum(w.verdicts for w in watched)
@@ -213,7 +218,8 @@ def _faulty(order: Order) -> list[Watched]:
     plant = AbroadPlant(
         KINDS[order.kind], order.seed, None if order.seed % 2 else (), (150.0, 400.0), closed=True
     )
-    watcher, when = Watcher(plant, alone=order.alone), order.onset("nothing")
+    watcher = Watcher(plant, alone=order.alone)
+    when = order.onset("nothing")
     samples = plant.run(when.stop + round(AFTER * order.samples_per_second))
     watcher.take(islice(samples, when.start))
 
@@ -221,7 +227,8 @@ def _faulty(order: Order) -> list[Watched]:
         watcher.told.mishap, watcher.told.took, plant.mishap = mishap, 0.0, order.onset(mishap)
         sender.send(watcher.take(samples))
 
-    found, forking = list[Watched](), get_context("fork")
+    found = list[Watched]()
+    forking = get_context("fork")
     for mishap in order.mishaps:
         receiver, sender = forking.Pipe(duplex=False)
         process = forking.Process(target=on, args=(sender, mishap))
@@ -238,10 +245,14 @@ def right_name(mishap: str) -> str:
 
 
 def _case(mishap: str, found: Sequence[tuple[Order, Watched]]) -> str:
-    right, delays, names, held = right_name(mishap), list[float](), Counter[str](), list[float]()
+    right = right_name(mishap)
+    delays = list[float]()
+    names = Counter[str]()
+    held = list[float]()
     before = later = other = blind = seen = 0
     for order, told in found:
-        when, seconds = order.onset(mishap), 1.0 / order.samples_per_second
+        when = order.onset(mishap)
+        seconds = 1.0 / order.samples_per_second
         during = [a for a in told.alarms if when.start <= a.flagged < when.stop]
         first = next((a for a in during if a.fault.value != VAGUE), during[0] if during else None)
         names[first.fault.value if first else "nothing"] += 1
@@ -256,7 +267,8 @@ def _case(mishap: str, found: Sequence[tuple[Order, Watched]]) -> str:
         before += sum(a.flagged < when.start for a in told.alarms)
         later += sum(a.flagged >= when.stop and a.fault.value != right for a in told.alarms)
         part = told.trusted[when.start + round(BLINK / seconds) : when.stop]
-        blind, seen = blind + sum(part), seen + len(part)
+        blind = blind + sum(part)
+        seen = seen + len(part)
     none = names["nothing"] + names[VAGUE]
     spread = f"{np.median(delays):6.0f} {max(delays):5.0f}" if delays else "     –     –"
     words = ", ".join(f"{n} {name}" for name, n in names.most_common())
@@ -295,7 +307,8 @@ def _each(
     with pool or nullcontext():
         results = map(call, orders) if pool is None else pool.map(call, orders)
         for done, (order, found) in enumerate(zip(orders, results, strict=True), 1):
-            took, alarms = sum(told.took for told in found), sum(len(told.alarms) for told in found)
+            took = sum(told.took for told in found)
+            alarms = sum(len(told.alarms) for told in found)
             print(
                 f"[{done}/{len(orders)}] {order.kind} {order.seed}: {alarms} alarms, {took:.0f} s",
                 file=sys.stderr,

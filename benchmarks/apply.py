@@ -52,7 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if k % 6 < 2:
             lessons = [taught(p, TRUE[p.name], options.seed + k) for p in (Peltier, TCLab)]
         bench, members, terms = lessons[k % 2]
-        plant, bench, rng = bench.plant, copy.deepcopy(bench), np.random.default_rng(options.seed + k)
+        plant = bench.plant
+        bench = copy.deepcopy(bench)
+        rng = np.random.default_rng(options.seed + k)
         gains = gains_of(bench, rng)
         level = np.tile(terms.before, (240, 1))
         truth = TriedTwin("truth", bench.truth)
@@ -73,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if trial.phase is TrialPhase.BACK:
                 at = min(at, j + 2.0)
         is_unsound = really.decision is not ControllerDecision.SAFE
-        unsound, sound = unsound + is_unsound, sound + (not is_unsound)
+        unsound = unsound + is_unsound
+        sound = sound + (not is_unsound)
         if is_unsound:
             back.append(at)
         else:

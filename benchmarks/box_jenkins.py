@@ -31,7 +31,8 @@ from twinmatch.importing import open_any
 from twinmatch.signals import FloatArray, Sample
 
 NAME = "box_jenkins"
-SHORT, LONG = 500, 3600
+SHORT = 500
+LONG = 3600
 LIMIT = 4.0
 """Time after which a peer's ladder stops at its present order, s."""
 NO_HOPS = "twinmatch, no hops"
@@ -42,8 +43,10 @@ MAX_COUNT = {"sippy_unipi": 300, "timeseries-toolbox": 1000}
 """Longest record on which a slow peer is compared with the truth."""
 GROWTH = (600, 1200, 3600, 12000, 36000)
 
-B, C = np.array([0.0, 1.0, 0.5]), np.array([1.0, 0.7, 0.2])
-D, F = np.array([1.0, -1.2, 0.5]), np.array([1.0, -1.5, 0.7])
+B = np.array([0.0, 1.0, 0.5])
+C = np.array([1.0, 0.7, 0.2])
+D = np.array([1.0, -1.2, 0.5])
+F = np.array([1.0, -1.5, 0.7])
 
 
 class Ladder(NamedTuple):
@@ -196,7 +199,9 @@ def _data(kind: str, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
         noise = e if kind == "white noise" else lfilter(C, D, e)
         return drive[200:], (lfilter(B, F, drive) + noise)[200:]
     noise = lfilter(C, D, 0.4 * e)
-    u, w, y = np.zeros(total), np.zeros(total), np.zeros(total)
+    u = np.zeros(total)
+    w = np.zeros(total)
+    y = np.zeros(total)
     for t in range(2, total):
         w[t] = B[1] * u[t - 1] + B[2] * u[t - 2] - F[1] * w[t - 1] - F[2] * w[t - 2]
         y[t] = w[t] + noise[t]

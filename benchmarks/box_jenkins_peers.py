@@ -78,7 +78,8 @@ def _sippy(u: FloatArray, y: FloatArray, order: str) -> Fit:
     nb, nc, nd, nf, nk = parse_order(order)
     with contextlib.redirect_stdout(io.StringIO()):
         found = system_identification(y, u, "BJ", BJ_orders=[nb, nc, nd, nf, nk - 1], max_iterations=300)
-    G, H = found.G, found.H
+    G = found.G
+    H = found.H
     B, F = _delay_form(G)
     C, D = _delay_form(H)
     return _fit(B, C, D, F, u=u, y=y)

@@ -123,7 +123,8 @@ def run(quick: bool) -> list[Row]:
             graph.set_rate(1.0)
             graph.until(lambda: graph.newest["twin/forecast"] >= graph.newest["twin/state"] > count)
             for _ in range(repeats):
-                known, begin = dict(graph.newest), time.monotonic()
+                known = dict(graph.newest)
+                begin = time.monotonic()
                 graph.kill_and_restart()
                 for topic, index in known.items():
                     graph.until(partial(graph.newer, topic, index))

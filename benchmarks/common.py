@@ -201,7 +201,8 @@ def rows_of(
     notes: Mapping[str, str] | None = None,
 ) -> list[Row]:
     """One row per program; ratios are to the program named `own`."""
-    targets, notes = targets or {}, notes or {}
+    targets = targets or {}
+    notes = notes or {}
     return [
         Row(
             benchmark,
@@ -247,7 +248,8 @@ def print_rows(title: str, rows: Sequence[Row]) -> None:
     table.add_column("note", overflow="fold")
     shown = ""
     for row in rows:
-        case, shown = ("" if row.case == shown else row.case), row.case
+        case = "" if row.case == shown else row.case
+        shown = row.case
         ratio = "" if row.ratio is None else f"{row.ratio:.3g} ×"
         table.add_row(
             case, row.program, duration(row.seconds), ratio, str(row.repeats), _target(row), row.note

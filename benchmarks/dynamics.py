@@ -67,7 +67,8 @@ def run(quick: bool) -> list[Row]:
     if not quick:
         cases["solve_ivp, no tangents"] = lambda: _solve_ivp(experiment)
     timings = measure_side_by_side(cases, 3 if quick else 15, patience=60.0)
-    ours, notes = timings["twinmatch"].result, {}
+    ours = timings["twinmatch"].result
+    notes = {}
     for name in ("the same, by differences", "CasADi, forward"):
         theirs = timings[name].result if name in timings else None
         if theirs is not None:
@@ -91,8 +92,11 @@ def _observer(quick: bool) -> list[Row]:
     ours = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
     theirs = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
     held: dict[str, Array] = {"states": theirs.states, "covariance": theirs.covariance}
-    vector, row, steps = RIG.vector, MODEL.disturbances, RIG.steps(1.0)
-    noise, nowhere = MODEL.plant.output.noise**2, np.zeros((2, 0), dtype=np.int64)
+    vector = RIG.vector
+    row = MODEL.disturbances
+    steps = RIG.steps(1.0)
+    noise = MODEL.plant.output.noise**2
+    nowhere = np.zeros((2, 0), dtype=np.int64)
 
     def compiled() -> Array:
         ours.correct(30.1)
@@ -100,7 +104,8 @@ def _observer(quick: bool) -> list[Row]:
         return np.asarray(ours.states)
 
     def numpy() -> Array:
-        states, covariance = held["states"], held["covariance"]
+        states = held["states"]
+        covariance = held["covariance"]
         slope = MODEL.kernels.slopes_at(vector, states, MODEL.rest, row)[4][0]
         reach = covariance @ slope
         gain = reach / (slope @ reach + noise)
@@ -121,10 +126,13 @@ def _observer(quick: bool) -> list[Row]:
 
 def _forecast(quick: bool) -> list[Row]:
     """The same mean and band by linearisation and by random runs."""
-    unsure, law = MODEL.structure.free, law_of(Peltier, 1.0)
-    states, reference = begin(RIG, 45.0), np.repeat([45.0, 55.0], 150)
+    unsure = MODEL.structure.free
+    law = law_of(Peltier, 1.0)
+    states = begin(RIG, 45.0)
+    reference = np.repeat([45.0, 55.0], 150)
     spread = np.array([0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)])
-    rng, runs = np.random.default_rng(3), 20 if quick else 200
+    rng = np.random.default_rng(3)
+    runs = 20 if quick else 200
 
     def foretold() -> Array:
         known = Foresight([(RIG, unsure)], law, drift=[[0.0, 0.0]])
@@ -166,8 +174,11 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     names = {"Max": casadi.fmax, "Min": casadi.fmin, "Abs": casadi.fabs}
     rates = sympy.lambdify(symbols, [written.rates[s] for s in derived.states], [names, casadi])
 
-    n, nx = values.size, len(derived.states)
-    state, reference, free = casadi.SX.sym("x", nx + 2), casadi.SX.sym("r"), casadi.SX.sym("p", n)
+    n = values.size
+    nx = len(derived.states)
+    state = casadi.SX.sym("x", nx + 2)
+    reference = casadi.SX.sym("r")
+    free = casadi.SX.sym("p", n)
     known = {name: float(RIG[name]) for name in RIG} | {m: free[j] for j, m in enumerate(experiment.free)}
     parameters = [known[str(s)] for s in derived.parameters]
     gains = Peltier.loop
@@ -177,7 +188,8 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     u = casadi.fmin(casadi.fmax(wanted, gains.low), gains.high)
     integral = state[nx] + gains.integral * error + gains.back_calculation * (u - wanted)
     steps = RIG.steps(1.0)
-    h, now = 1.0 / steps, casadi.vertcat(*[state[i] for i in range(nx)])
+    h = 1.0 / steps
+    now = casadi.vertcat(*[state[i] for i in range(nx)])
 
     def rate(at: Any) -> Any:
         return casadi.vertcat(*rates(*[at[i] for i in range(nx)], u, *parameters))

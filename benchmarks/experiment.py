@@ -67,7 +67,9 @@ class Bench:
             scaled["ambient"] = typical["ambient"] + self.random.uniform(-2.0, 2.0)
         self.truth = typical.replace(**scaled)
         self.share = 1.0
-        self.plant, self.loop, self.k = plant, Loop(plant), 0
+        self.plant = plant
+        self.loop = Loop(plant)
+        self.k = 0
         self.step_of_sensor = LEVELS[plant.name][2]
         self.states = begin(self.truth, [23.0])
 
@@ -79,7 +81,8 @@ class Bench:
         sample = self.loop.tick(self.k * 10**9, lambda _: level)
         assert sample is not None
         acting = self.truth.model.rest + self.share * (np.array(sample.inputs) - self.truth.model.rest)
-        self.states, self.k = advance(self.truth, self.states, acting, 1.0), self.k + 1
+        self.states = advance(self.truth, self.states, acting, 1.0)
+        self.k = self.k + 1
         return sample
 
 
@@ -96,7 +99,8 @@ def taught(
     plant: type[Plant], structure: str, seed: int
 ) -> tuple[Bench, tuple[TriedTwin, ...], ExperimentTerms]:
     """A plant after its usual set-points, its twins, and what a course may do."""
-    bench, twin = Bench(plant, structure, seed), Twin(settings := TwinSettings.of(plant))
+    bench = Bench(plant, structure, seed)
+    twin = Twin(settings := TwinSettings.of(plant))
     levels, hold, _ = LEVELS[plant.name]
     usual = Profile(levels, (hold,) * len(levels), lowest=0.0, highest=90.0, unit="°C")
     for k in range(round(usual.duration)):
@@ -140,7 +144,8 @@ def structures(plant: type[Plant], number: int, seed: int) -> None:
     """Which structure is decided, and how soon."""
     watched = [name for name, structure in plant.structures.items() if structure.watched]
     results: dict[str, list[tuple[int | None, bool]]] = {}
-    beyond, cpu = 0.0, []
+    beyond = 0.0
+    cpu = []
     for k in range(number):
         true = watched[k % len(watched)]
         asked = _asked(plant, true, seed + k, "structure")
@@ -159,7 +164,8 @@ def structures(plant: type[Plant], number: int, seed: int) -> None:
         print(f"  {true}: {'; '.join(line)}", flush=True)
     for name, each in results.items():
         sizes = [math.inf if size is None else size for size, _ in each]
-        right, wrong = sum(ok for _, ok in each), sum(size is not None and not ok for size, ok in each)
+        right = sum(ok for _, ok in each)
+        wrong = sum(size is not None and not ok for size, ok in each)
         print(
             f"{plant.name}, {name}: median {median(sizes):g} samples, right {right}, wrong {wrong}, "
             f"of {len(each)}"
@@ -198,8 +204,10 @@ def learned(
     """Parameters and their covariance after these readings, by steps of Gauss and Newton."""
     assert twin.covariance is not None
     search = _Search([twin], asked.found.goal, asked.found.terms)
-    seen, root = search.run(Contender(twin), outputs, inputs), _root(Contender(twin))
-    n, start = len(root), np.array([twin.parameters[name] for name in twin.free])
+    seen = search.run(Contender(twin), outputs, inputs)
+    root = _root(Contender(twin))
+    n = len(root)
+    start = np.array([twin.parameters[name] for name in twin.free])
     moved = np.zeros(seen.slopes.shape[2])
     for _ in range(STEPS):
         values = np.clip(start + root @ moved[:n], 0.2 * start, 5.0 * start)
@@ -221,7 +229,9 @@ def learned(
 
 def faults(plant: type[Plant], number: int, seed: int) -> None:
     """Plants whose drive is weak or whose losses have grown, at a level at which these leave one mark."""
-    told, right, cpu = 0, 0, []
+    told = 0
+    right = 0
+    cpu = []
     for k in range(number):
         asked = _asked(plant, TYPICAL[plant], seed + k, "fault")
         if asked is None:
@@ -240,7 +250,8 @@ def faults(plant: type[Plant], number: int, seed: int) -> None:
         for _ in range(1200):  # the loop holds its level again
             asked.bench.sample(before)
         size, which = decided(asked, *run(asked, asked.found.course.rows[:, 0]))
-        told, right = told + (size is not None), right + (which == name)
+        told = told + (size is not None)
+        right = right + (which == name)
         print(f"  {name}: {which} after {size} of {len(asked.found.course.rows)}", flush=True)
     words = f"parted {told}, rightly {right}, of {len(cpu)}; {median(cpu):.2f} s of CPU"
     print(f"{plant.name}, faults said as both: {words}")
@@ -248,7 +259,9 @@ def faults(plant: type[Plant], number: int, seed: int) -> None:
 
 def laws(number: int, seed: int) -> None:
     """Laws whose stability hangs on what is open, before and after the course."""
-    told, right, asked_of = 0, 0, 0
+    told = 0
+    right = 0
+    asked_of = 0
     for k in range(number):
         plant = (Peltier, TCLab)[k % 2]
         true = TYPICAL[plant]
@@ -263,7 +276,8 @@ def laws(number: int, seed: int) -> None:
         except ControllerError as error:
             print(f"  {plant.name}: {error}")
             continue
-        asked, twin = Asked(bench, members, found, 0.0), members[0]
+        asked = Asked(bench, members, found, 0.0)
+        twin = members[0]
         centre, known = learned(asked, twin, *run(asked, found.course.rows[:, 0]))
         values = dict(zip(twin.free, centre.tolist(), strict=True))
         better = replace(twin, parameters=twin.parameters.replace(**values), covariance=known, states=None)
@@ -287,7 +301,8 @@ def _undecided(
 ) -> tuple[Law, ControllerAnswer] | None:
     """The plant's own law with so much gain that some draws are unstable and some are not."""
     [gains] = pids_of(law_of(bench.plant, 1.0))
-    low, high = 1.0, 1000.0
+    low = 1.0
+    high = 1000.0
     for _ in range(14):
         by = math.sqrt(low * high)
         law = as_linear(replace(gains, proportional=by * gains.proportional, integral=by * gains.integral))
@@ -313,7 +328,8 @@ def _asked(plant: type[Plant], structure: str, seed: int, goal: str) -> Asked | 
 
 def _contains(plant: type[Plant], name: str, true: str) -> bool:
     """Whether a structure has all that another has: it can be that one."""
-    one, other = plant.structures[name], plant.structures[true]
+    one = plant.structures[name]
+    other = plant.structures[true]
     return one.parts >= other.parts and set(one.free) >= set(other.free)
 
 
@@ -326,7 +342,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", choices=("structure", "parameters", "controller", "fault"))
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    number, seed = options.number, options.seed
+    number = options.number
+    seed = options.seed
     for plant in (Peltier, TCLab):
         if options.only in {None, "structure"}:
             structures(plant, number, seed)

@@ -50,13 +50,14 @@ def visible_after(
 
 def measure(kind: str, length: int, runs: int) -> str:
     names: Counter[str] = Counter()
-    onset, seen, cleared, early = [], [], 0, 0
+    onset = []
+    seen = []
+    cleared = 0
+    early = 0
     for seed in range(runs):
         start = int(np.random.default_rng(seed).integers(500, 900))
-        reference, rig = (
-            rigs.profile(seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700),
-            rigs.some_rig(seed),
-        )
+        reference = rigs.profile(seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700)
+        rig = rigs.some_rig(seed)
         samples, truth = rigs.run(reference, rigs.Break(kind, start, length), rig=rig, seed=seed)
         whole, other = rigs.run(reference, rig=rig, seed=seed)
         monitor, healths = rigs.watch(samples)
@@ -96,7 +97,8 @@ def confusion(runs: int, kinds: tuple[str, ...] = SLOW_KINDS) -> list[str]:
 
 
 def false_alarms(hours: int) -> str:
-    alarms, suspects = 0, 0
+    alarms = 0
+    suspects = 0
     for seed in range(hours):
         samples, _ = rigs.run(rigs.profile(seed + 5000, 3600), rig=rigs.some_rig(seed + 5000), seed=seed)
         monitor, healths = rigs.watch(samples)
@@ -126,7 +128,9 @@ def _opened(seed: int, minutes: float) -> tuple[incubators.Lid, tuple[Alarm, ...
 
 
 def _measure(runs: int, minutes: float) -> str:
-    told, early, other = [], 0, Counter[str]()
+    told = []
+    early = 0
+    other = Counter[str]()
     closed: list[float] = []
     for seed in range(runs):
         lid, alarms = _opened(seed, minutes)
@@ -195,7 +199,8 @@ def _by_power(runs: int) -> None:
 
 
 def _at_some_moment(runs: int, make: Callable[[int], kits.Simulated | kits.Published], name: str) -> None:
-    found, early = [], 0
+    found = []
+    early = 0
     for seed in range(runs):
         lost = int(np.random.default_rng(seed).integers(60, 2400))
         alarms = kits.watch(kits.run(make(seed), kits.levels(lost + 240), kits.Broken(lost=lost)))

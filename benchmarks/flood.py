@@ -80,7 +80,8 @@ class Flood:
     """What a graph does in and after a flood."""
 
     def __init__(self, soak: Soak, control: str) -> None:
-        self._soak, self._control = soak, control
+        self._soak = soak
+        self._control = control
         self.memory: dict[str, list[float]] = defaultdict(list)
         self.pwm: list[float] = []
         self.plate: list[float] = []
@@ -133,7 +134,8 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="wall time of each flood (20)")
     parser.add_argument("--speed", type=float, default=4.0, help="plant time per wall time (4)")
     options = parser.parse_args()
-    options.plant, options.session = "peltier", None
+    options.plant = "peltier"
+    options.session = None
     failed = []
     with tempfile.TemporaryDirectory(prefix="twinmatch-flood-") as folder:
         soak = Soak(options, Path(folder))

@@ -99,7 +99,8 @@ def both(plants: int) -> None:
                 print(f"{levels} {lie:26s} of {channel + 1} | {heaters}", flush=True)
     latched = limited = 0
     for seed in range(10 * plants):
-        kit, random = whole_kit(1000 + seed), np.random.default_rng(seed)
+        kit = whole_kit(1000 + seed)
+        random = np.random.default_rng(seed)
         tops = [simulate_driven(kit, np.tile(u, (1500, 1)), states=begin(kit, [25.0, 25.0])).outputs[-1, k]
                 for k, u in enumerate(((90.0, 0.0), (0.0, 90.0)))]  # fmt: skip
         high = np.minimum(tops, 70.0)

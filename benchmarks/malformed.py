@@ -33,7 +33,10 @@ def _give_up(_signal: int, _frame: FrameType | None) -> None:
 
 def measure(kind: str, number: int) -> str:
     """One line on so many documents of a kind."""
-    slowest, accepted, tracebacks, slow = 0.0, 0, 0, 0
+    slowest = 0.0
+    accepted = 0
+    tracebacks = 0
+    slow = 0
     signal.signal(signal.SIGPROF, _give_up)
     with tempfile.TemporaryDirectory() as folder:
         deque(readings(kind, 30, 4, Path(folder)), 0)  # what is compiled or imported first does not count
@@ -51,7 +54,8 @@ def measure(kind: str, number: int) -> str:
 
 
 def main() -> None:
-    number, kinds = int(sys.argv[1]) if sys.argv[1:] else 1000, sys.argv[2:] or KINDS
+    number = int(sys.argv[1]) if sys.argv[1:] else 1000
+    kinds = sys.argv[2:] or KINDS
     warnings.simplefilter("ignore", RuntimeWarning)  # of numbers near the largest
     print("kind       number accepted tracebacks > 10 s slowest/s")
     for kind in kinds:

@@ -37,8 +37,10 @@ assert Peltier.loop is not None
 GAINS: PidGains = Peltier.loop
 NOISE = Noise.of(Peltier)
 FREE = MODEL.structure.free
-AMBIENT, RESISTANCE = START["ambient"], START["resistance"]
-LOOP_RESISTANCE, CURRENT_LIMIT = RESISTANCE + START["bridge_resistance"], START["current_limit"]
+AMBIENT = START["ambient"]
+RESISTANCE = START["resistance"]
+LOOP_RESISTANCE = RESISTANCE + START["bridge_resistance"]
+CURRENT_LIMIT = START["current_limit"]
 VOLTS_PER_COUNT = START["supply"] / GAINS.high
 KP, KI, KD, KB, PERIOD, LIMIT = *GAINS.code[5:9], GAINS.period, GAINS.high
 STEPS = 4
@@ -182,7 +184,8 @@ def _runge_kutta_loop(  # noqa: PLR0917
     previous: float,
 ) -> tuple[Array, Array]:
     p, i, d, back, period, limit = gains
-    temperature, pwm = np.empty(reference.size), np.empty(reference.size)
+    temperature = np.empty(reference.size)
+    pwm = np.empty(reference.size)
     h = period / STEPS
     for k in range(reference.size):
         error = reference[k] - (plate - KELVIN)
@@ -205,7 +208,8 @@ def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
     a, k, c = values.tolist()
     integral, previous = problem.experiment.controller.tolist()
     plate = float(problem.window.output[2]) + KELVIN
-    temperature, pwm = [], []
+    temperature = []
+    pwm = []
 
     def rate(_time: float, state: Array, volts: float) -> list[float]:
         current = (-volts - a * (AMBIENT - state[0])) / LOOP_RESISTANCE
@@ -228,8 +232,12 @@ def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
 
 def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
     """Residuals and their Jacobian from one graph: a tick, accumulated over the window."""
-    state, reference, values = casadi.SX.sym("x", 3), casadi.SX.sym("r"), casadi.SX.sym("p", 3)
-    plate, integral, previous = state[0], state[1], state[2]
+    state = casadi.SX.sym("x", 3)
+    reference = casadi.SX.sym("r")
+    values = casadi.SX.sym("p", 3)
+    plate = state[0]
+    integral = state[1]
+    previous = state[2]
     error = reference - (plate - KELVIN)
     wanted = KP * error + integral + KD * (error - previous) / PERIOD
     u = casadi.fmin(casadi.fmax(wanted, -LIMIT), LIMIT)
@@ -240,7 +248,8 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
         half_joule = 0.5 * current**2 * RESISTANCE
         return -(values[0] * now * current - half_joule + values[1] * (now - AMBIENT)) / values[2]
 
-    h, after = PERIOD / STEPS, plate
+    h = PERIOD / STEPS
+    after = plate
     for _ in range(STEPS):
         k1 = rate(after)
         k2 = rate(after + 0.5 * h * k1)
@@ -277,13 +286,18 @@ def _gauss_newton(linearise: Callable[[Array], tuple[Array, Array]]) -> Array:
     damping = 1e-4
     for _ in range(60):
         scaled = jacobian * SCALE
-        hessian, gradient = scaled.T @ scaled, scaled.T @ residuals
+        hessian = scaled.T @ scaled
+        gradient = scaled.T @ residuals
         step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient) * SCALE
         tried = np.clip(values + step, LOW, HIGH)
         there, slopes = linearise(tried)
-        before, after = residuals @ residuals, there @ there
+        before = residuals @ residuals
+        after = there @ there
         if after < before:
-            values, residuals, jacobian, damping = tried, there, slopes, damping / 10
+            values = tried
+            residuals = there
+            jacobian = slopes
+            damping = damping / 10
             if before - after <= 1e-8 * before:
                 break
         elif np.max(np.abs(step) / SCALE) < 1e-8:

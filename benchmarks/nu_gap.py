@@ -88,9 +88,11 @@ def _two_outputs(order: int, repeats: int) -> list[Row]:
 def _loop(repeats: int) -> list[Row]:
     """b(P, C), against 1/‖·‖∞ of the closed loop in python-control."""
     z = control.tf([1, 0], [1], 1.0)
-    plant, pid = 0.4 / (z - 0.97), 1 + 0.038 / (z - 1) + 0.17 * (z - 1) / z
+    plant = 0.4 / (z - 0.97)
+    pid = 1 + 0.038 / (z - 1) + 0.17 * (z - 1) / z
     symbols = [GraphSymbol.of_polynomials(t.den_array[0, 0], [t.num_array[0, 0]], 1.0) for t in (plant, pid)]
-    p, c = control.ss(plant), control.ss(pid)
+    p = control.ss(plant)
+    c = control.ss(pid)
     a = np.block([[p.A - p.B @ c.D @ p.C, -p.B @ c.C], [c.B @ p.C, c.A]])
     b = np.block([[p.B, -p.B @ c.D], [np.zeros_like(c.B), c.B]])
     seen = np.block([[p.C, np.zeros_like(c.C)], [-c.D @ p.C, -c.C]])
@@ -174,9 +176,11 @@ def _reference(p1: Fraction, p2: Fraction) -> Any:
         best = max(*values, distance(mp.mpf(-60)), distance(mp.mpf(60)))
         golden = (mp.sqrt(5) - 1) / 2
         for k in sorted(range(1, len(nodes) - 1), key=lambda k: -values[k])[:2]:
-            low, high = nodes[k - 1], nodes[k + 1]
+            low = nodes[k - 1]
+            high = nodes[k + 1]
             for _ in range(60):
-                left, right = high - golden * (high - low), low + golden * (high - low)
+                left = high - golden * (high - low)
+                right = low + golden * (high - low)
                 if distance(left) > distance(right):
                     high = right
                 else:
@@ -188,7 +192,8 @@ def _reference(p1: Fraction, p2: Fraction) -> Any:
 def _winding_holds(exact: list[list[list[Any]]]) -> bool:
     """Whether d2~ d1 + n2~ n1 has as many zeros inside the circle as the first model has poles."""
     (n1, d1), (n2, d2) = exact
-    n1, n2 = [mp.mpf(0)] * (len(d1) - len(n1)) + n1, [mp.mpf(0)] * (len(d2) - len(n2)) + n2
+    n1 = [mp.mpf(0)] * (len(d1) - len(n1)) + n1
+    n2 = [mp.mpf(0)] * (len(d2) - len(n2)) + n2
     total = [mp.mpf(0)] * (len(d1) + len(d2) - 1)
     for first, second in ((d1, d2[::-1]), (n1, n2[::-1])):
         for i, x in enumerate(first):

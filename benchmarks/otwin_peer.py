@@ -39,7 +39,8 @@ from twinmatch.signals import KELVIN, FloatArray, Window, stretches
 
 HORIZONS: Final = (60.0, 300.0)
 """Seconds."""
-LEARNT, SCORED = 0.15, 0.4
+LEARNT = 0.15
+SCORED = 0.4
 """Shares of a recording after which otwin's errors count for its band, and after which both are scored."""
 REFIT: Final = 5
 """Forecasts after which otwin's parameters are fitted again."""
@@ -87,8 +88,10 @@ class Recording:
 
 def _thermoelectric(model: Any, expr: ModuleType, zero: float) -> _Terms:
     """The rig's electrical side, with the constants of its plant file."""
-    plate, sink = model.symbol("plate.temperature"), model.symbol("sink.temperature")
-    command, seebeck = model.symbol("plate_heater"), model.parameter("seebeck")
+    plate = model.symbol("plate.temperature")
+    sink = model.symbol("sink.temperature")
+    command = model.symbol("plate_heater")
+    seebeck = model.parameter("seebeck")
     across = (-12.0 * command / 255.0 - seebeck * (sink - plate)) / 3.4
     current = expr.maximum(-5.0, expr.minimum(5.0, across))
     joule = 0.5 * 3.3 * current * current
@@ -135,7 +138,8 @@ def recordings() -> list[Recording]:
         "residual": _thermoelectric,
         "room": 296.0,
     }
-    kits, box = OTHERS / "tclab", OTHERS / "incubator" / "exp2_ht20_hg30.csv"
+    kits = OTHERS / "tclab"
+    box = OTHERS / "incubator" / "exp2_ht20_hg30.csv"
     return [
         *(Recording(f"rig {k}", path=RECORDINGS / f"BMData{k}_022722.mat", **rig) for k in (1, 9)),  # type: ignore[arg-type]
         Recording(
@@ -182,7 +186,8 @@ class OtwinTwin:
     """One recording's twin, from its first sample on, in kelvin above the first reading."""
 
     def __init__(self, of: Recording, window: Window) -> None:
-        self.of, self.period = of, window.period
+        self.of = of
+        self.period = window.period
         self.zero = float(window.output[0])
         self.y = window.output - self.zero
         power = np.array(list(of.heated.values()))
@@ -205,7 +210,8 @@ class OtwinTwin:
             ThermalMass,
         )
 
-        of, zero = self.of, self.zero + KELVIN
+        of = self.of
+        zero = self.zero + KELVIN
         masses = {n: ThermalMass(c, temperature=0.0, name=n) for n, c in of.masses.items()}
         held = None if self.measured else 0.0 if of.room is None else of.room - zero
         room = Ambient(held, name="room")
@@ -266,7 +272,8 @@ class OtwinTwin:
         wide = np.append(np.where(bent, np.log(30.0), 30.0), np.full(own.sum(), 60.0))
         result = least_squares(off, middle, bounds=(middle - wide, middle + wide), max_nfev=60)
         self.model, states = taken(result.x)
-        found, self.at = [], k
+        found = []
+        self.at = k
         for drift in DRIFTS:
             following = self._filter(drift, states)
             innovations = [self._step(following, j) for j in range(k + 1)]
@@ -280,7 +287,8 @@ class OtwinTwin:
     def _filter(self, drift: float, states: FloatArray) -> Any:
         from otwin.estimate import ExtendedKalmanFilter  # noqa: PLC0415
 
-        model, noise = self.model, self.of.plant.output.noise
+        model = self.model
+        noise = self.of.plant.output.noise
         capacities = self._capacities(model)
         seen = np.array([[n.startswith(f"{self.of.seen}.") for n in model.state_names]]) / capacities
         return ExtendedKalmanFilter(
@@ -303,8 +311,10 @@ class OtwinTwin:
 
 def forecasts_of(of: Recording, window: Window) -> Iterator[Forecast]:
     """otwin's forecasts with bands, at every origin that is scored."""
-    size, pace = len(window), round(of.every / window.period)
-    longest, twin = round(HORIZONS[-1] / window.period), OtwinTwin(of, window)
+    size = len(window)
+    pace = round(of.every / window.period)
+    longest = round(HORIZONS[-1] / window.period)
+    twin = OtwinTwin(of, window)
     errors: list[tuple[int, FloatArray]] = []
     for k in range(pace - 1, size - round(HORIZONS[0] / window.period), pace):
         if k < LEARNT * size:

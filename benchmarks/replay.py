@@ -95,7 +95,8 @@ def _one_sample(quick: bool) -> list[Row]:
     ready, sample, report = _before_a_verdict()
     ready.push_sample(sample)
     ready.push_match(report)
-    count, following = len(ready.forecaster.names), itertools.count(sample.index + 1)
+    count = len(ready.forecaster.names)
+    following = itertools.count(sample.index + 1)
 
     def push() -> int:
         ready.forecaster.push(replace(sample, index=next(following)))
@@ -111,7 +112,8 @@ def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
     settings = TwinSettings()
     given = [Candidate(f"given {at} °C", float(at), _rig(at), None) for at in POINTS]
     samples = recorded(HOUR)
-    probe, ready = Discriminator(settings, given), Discriminator(settings, given)
+    probe = Discriminator(settings, given)
+    ready = Discriminator(settings, given)
     for sample in samples:
         request = probe.push_sample(sample).request
         if request is not None:

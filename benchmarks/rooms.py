@@ -25,7 +25,8 @@ PERIOD = 600.0
 HORIZONS = (3600.0, 14400.0, 28800.0)
 FREE = 0.4
 """Heat that nobody measures on a bright day at noon, kW."""
-_FROM, _EVERY = 288, 10
+_FROM = 288
+_EVERY = 10
 """Samples before the first forecast, and between two."""
 
 
@@ -46,7 +47,8 @@ def forecasts(plant: type[Plant], window: Window) -> Scored:
     """Those of the leader on a room, driven by its input and the outdoor temperature, as they came."""
     settings = TwinSettings.of(plant, period=window.period, law=None)
     twin = Twin(replace(settings, forecasts=replace(settings.forecasts, horizons=HORIZONS)))
-    scored, leads = Scored(), [round(h / window.period) - 1 for h in HORIZONS]
+    scored = Scored()
+    leads = [round(h / window.period) - 1 for h in HORIZONS]
     most = leads[-1] + 1
     for k, sample in enumerate(samples_of(window)):
         outcome = twin.push(sample)
@@ -56,7 +58,8 @@ def forecasts(plant: type[Plant], window: Window) -> Scored:
         if k % _EVERY:
             continue
         forecaster = twin.discriminator.forecaster
-        ahead, outside = window.input[k + 1 : k + most + 1], window.disturbances[k : k + most + 1]
+        ahead = window.input[k + 1 : k + most + 1]
+        outside = window.disturbances[k : k + most + 1]
         try:
             band = forecaster.outlook().forecast(ahead, outside).output
         except ForecastError:

@@ -74,7 +74,8 @@ class Tab(threading.Thread):
             text = answer.read().decode()
         token = re.search(r'"token":\s*"([^"]+)"', text)
         assert token is not None, "the page has no token"
-        address, origin = self._url.replace("http", "ws") + "ws", self._url.rstrip("/")
+        address = self._url.replace("http", "ws") + "ws"
+        origin = self._url.rstrip("/")
         request = HTTPRequest(address, headers={"Origin": origin})
         self.opened += 1
         connection = await websocket_connect(request, subprotocols=["bokeh", token[1]])
@@ -132,7 +133,8 @@ class Soak:
             state = json.loads(tell(control, "state"))
         except (RigControlError, OSError):
             return False
-        self.elapsed, self.speed = state["time"], state["speed"]
+        self.elapsed = state["time"]
+        self.speed = state["speed"]
         for process, name in _family(self.process.pid).items():
             self._ids[name].add(process)
             if (held := _resident(process)) is not None:

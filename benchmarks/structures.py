@@ -37,7 +37,8 @@ from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule, StructureFits, choose_structure, nrmse, watched
 
-MEDIAN_TARGET, MIN_TARGET = (0.992, 0.90), (0.984, 0.82)
+MEDIAN_TARGET = (0.992, 0.90)
+MIN_TARGET = (0.984, 0.82)
 CHOSEN = "chosen"
 MODELS = watched(Peltier)
 
@@ -54,7 +55,9 @@ def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
 def choices(hour: Window) -> str:
     """The choices made beside the plant over the hour, and the CPU time of all fits with them."""
     fits = StructureFits(MODELS, Noise.of(Peltier), law_of(Peltier, 1.0))
-    schedule, chosen, costs = Schedule(), [], []
+    schedule = Schedule()
+    chosen = []
+    costs = []
     for sample in samples_of(hour):
         trigger = schedule.push(sample)
         if trigger is None:
@@ -127,7 +130,8 @@ def _table(found: dict[str, dict[str, Figures]], names: list[str], healthy: list
 def _met(console: Console, figures: list[Figures]) -> bool:
     if not figures:
         return True
-    median, least = np.median(figures, axis=0), np.min(figures, axis=0)
+    median = np.median(figures, axis=0)
+    least = np.min(figures, axis=0)
     # At the three decimals in which the targets are given.
     well = bool(np.all(np.round(median, 3) >= MEDIAN_TARGET) and np.all(np.round(least, 3) >= MIN_TARGET))
     console.print(

@@ -59,7 +59,8 @@ def judged(path: Path) -> tuple[dict[object, Row], list[list[Row]]]:
         for c in verdict.candidates:
             runs[c.parameters] = runs.get(c.parameters) or simulate_window(c.parameters, hour)
         for (i, a), (j, b) in itertools.combinations(enumerate(verdict.candidates), 2):
-            one, other = runs[a.parameters], runs[b.parameters]
+            one = runs[a.parameters]
+            other = runs[b.parameters]
             apart = size(one.output - other.output, one.input - other.input)
             matched = max(i, j) < len(verdict.identified_gap)  # structures have no identified models
             models = verdict.identified_gap[i][j] if matched else float("nan")

@@ -198,7 +198,8 @@ def test_a_replay_gives_the_documented_json(replayed: Replayed) -> None:
 def test_a_recording_becomes_a_session_with_the_same_samples(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     r = np.full(50, 40.0)
-    y, u = r + rng.normal(size=50), rng.uniform(-255, 255, 50)
+    y = r + rng.normal(size=50)
+    u = rng.uniform(-255, 255, 50)
     scipy.io.savemat(tmp_path / "run.mat", {"simout": np.column_stack([u, y, np.arange(50.0), r])})
     result = run("import", tmp_path / "run.mat", "-o", tmp_path / "session")
     assert result.returncode == 0, result.stderr

@@ -140,7 +140,8 @@ def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
     """0.68 is the newest that works; for a newer one pyproject.toml is changed when this passes with it."""
     kernel = numba.njit(lambda: 0.0)
     codegen = numba.core.registry.cpu_target.target_context.codegen()
-    engine, library = codegen._engine, codegen.create_library("empty")
+    engine = codegen._engine
+    library = codegen.create_library("empty")
     moved = [f"a kernel's {name}" for name in KERNELS if _inside(kernel, name) is None]
     moved += [] if isinstance(engine._defined_symbols, set) else ["_engine._defined_symbols"]
     moved += [] if "_shared_module" in vars(library) else ["CPUCodeLibrary._shared_module"]
@@ -250,7 +251,8 @@ def test_files_generated_outside_of_the_package_are_kept_too(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("home", ["writable", "read-only"])
 def test_an_installation_that_cannot_be_written(tmp_path: Path, home: str) -> None:
-    sources, where = tmp_path / "sources", tmp_path / "home"
+    sources = tmp_path / "sources"
+    where = tmp_path / "home"
     sources.mkdir()
     where.mkdir()
     write(sources)

@@ -42,7 +42,8 @@ def test_what_controls_a_terminal_is_escaped_and_nothing_else() -> None:
 
 
 def test_all_that_a_program_prints_is_printable() -> None:
-    out, error = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    error = io.StringIO()
     with redirect_stdout(out), redirect_stderr(error):
         with printable_output(), printable_output():
             print(EVIL)

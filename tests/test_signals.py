@@ -120,7 +120,8 @@ VALUES = st.floats(-1e6, 1e6)
 def recorded(draw: st.DrawFn) -> tuple[list[Sample], float, int]:
     """Consecutive samples of any plant, some of them stand-ins; their period, s, and stamp of index 0, ns."""
     shape = [draw(st.integers(least, 2)) for least in (1, 1, 1, 0)]
-    first, period = draw(st.integers(0, 10**6)), draw(st.sampled_from([0.005, 0.1, 1.0, 60.0]))
+    first = draw(st.integers(0, 10**6))
+    period = draw(st.sampled_from([0.005, 0.1, 1.0, 60.0]))
     begin = draw(st.integers(0, 10**18))
     row = st.tuples(*(st.tuples(*[VALUES] * width) for width in shape))
     rows = draw(st.lists(st.tuples(row, st.booleans()), min_size=1, max_size=20))
@@ -137,7 +138,9 @@ def test_a_stretch_that_is_taken_apart_and_joined_has_lost_nothing(
 ) -> None:
     """Values, marks, period, indices and stamps, wherever it is cut and however the parts overlap."""
     taken, period, begin = stretch
-    whole, parts, first = Window.from_samples(taken, period), [], taken[0].index
+    whole = Window.from_samples(taken, period)
+    parts = []
+    first = taken[0].index
     assert whole.lost == [s.index for s in taken if not s.seen]
     while first <= whole.last:
         last = data.draw(st.integers(first, whole.last))
@@ -222,7 +225,8 @@ def test_what_measures_something_else_is_refused(given_unit: str, wanted: str) -
     st.floats(-1e4, 1e4),
 )
 def test_there_and_back_is_the_same(units: tuple[str, str], value: float) -> None:
-    there, back = conversion(*units), conversion(units[1], units[0])
+    there = conversion(*units)
+    back = conversion(units[1], units[0])
     again = (value * there.scale + there.offset) * back.scale + back.offset
     assert again == pytest.approx(value, rel=1e-9, abs=1e-6)
 
@@ -246,7 +250,8 @@ def test_what_a_unit_measures() -> None:
 
 def test_an_error_counts_in_the_unit_of_its_signal() -> None:
     """Two signals, off by 3 and 4 of their units: each alone, then both together."""
-    off, unit = np.array([[3.0, -3.0], [400.0, 400.0]]), np.array([[1.0], [100.0]])
+    off = np.array([[3.0, -3.0], [400.0, 400.0]])
+    unit = np.array([[1.0], [100.0]])
     assert rms(off, unit).tolist() == [3.0, 4.0]
     assert rms(rms(off, unit)) == pytest.approx(np.sqrt(12.5))
     assert rms(off, axis=0).tolist() == pytest.approx(np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist())

@@ -22,7 +22,8 @@ from twinmatch.health.faults import Fault
 
 def watched(seed: int, mishap: str) -> tuple[list[ChannelAlarm], float]:
     """The alarms of a run, and what a sample costs, µs."""
-    monitor, samples = ChannelMonitor(typical(), 1.0), list(run(seed, mishap))
+    monitor = ChannelMonitor(typical(), 1.0)
+    samples = list(run(seed, mishap))
     began = time.process_time()
     for sample in samples:
         monitor.push(sample)
@@ -31,7 +32,11 @@ def watched(seed: int, mishap: str) -> tuple[list[ChannelAlarm], float]:
 
 def row(mishap: str, runs: list[list[ChannelAlarm]]) -> str:
     """What was said of all runs with a mishap."""
-    (name, signal), delays, wrong, none, early = MISHAPS[mishap], list[int](), 0, 0, 0
+    name, signal = MISHAPS[mishap]
+    delays = list[int]()
+    wrong = 0
+    none = 0
+    early = 0
     for alarms in runs:
         named = [a for a in alarms if a.fault is not Fault.DRIFT]
         early += sum(a.flagged < BEGINS or name is None for a in named)

@@ -12,7 +12,9 @@ from twinmatch.dynamics.simulation import readings
 from twinmatch.plants.tclab import RESOLUTION, TCLabBoth
 from twinmatch.signals import Sample
 
-BEGINS, ENDS, SIZE = 1500, 2400, 3000
+BEGINS = 1500
+ENDS = 2400
+SIZE = 3000
 """When something happens, when it is over, and when the run is, s."""
 MISHAPS = {
     "nothing": (None, None),
@@ -34,20 +36,22 @@ def typical() -> Parameters:
 def run(seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS) -> Iterator[Sample]:
     """One of many kits, whose parameters differ by up to a quarter, in a room that becomes warmer and colder
     by 0.8 K; its set-points step every few minutes."""
-    random, base = np.random.default_rng(seed), typical()
+    random = np.random.default_rng(seed)
+    base = typical()
     other = {k: base[k] * math.exp(random.uniform(-0.22, 0.22)) for k in base.model.structure.free}
-    room, phase = random.uniform(292.0, 299.0), random.uniform(0.0, 2.0 * math.pi)
+    room = random.uniform(292.0, 299.0)
+    phase = random.uniform(0.0, 2.0 * math.pi)
     kit = base.replace(**{**other, "ambient": room})
-    x, integral, before, held = (
-        begin(kit, np.full(2, room - 273.15)),
-        np.zeros(2),
-        np.full(2, room - 273.15),
-        0.0,
-    )
-    wanted, steps_at = np.full(2, 35.0), 0
+    x = begin(kit, np.full(2, room - 273.15))
+    integral = np.zeros(2)
+    before = np.full(2, room - 273.15)
+    held = 0.0
+    wanted = np.full(2, 35.0)
+    steps_at = 0
     for k in range(size):
         if k >= steps_at:
-            which, level = int(random.integers(0, 3)), random.uniform(30.0, 60.0, 2)
+            which = int(random.integers(0, 3))
+            level = random.uniform(30.0, 60.0, 2)
             wanted = np.where((np.arange(2) == which) | (which == 2), level, wanted)
             steps_at = k + int(random.uniform(200.0, 500.0))
         on = mishap if begins <= k < ENDS else "nothing"
@@ -63,7 +67,8 @@ def run(seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS) -> Itera
         error = wanted - y
         asked = 5.0 * error + integral - 10.0 * (y - before)
         u = np.clip(asked, 0.0, 100.0)
-        integral, before = integral + 5.0 / 120.0 * error + 0.0645 * (u - asked), y
+        integral = integral + 5.0 / 120.0 * error + 0.0645 * (u - asked)
+        before = y
         outputs = tuple(np.round(y, 3).tolist())
         yield Sample(k, k * 10**9, tuple(wanted.tolist()), outputs, tuple(u.tolist()))
         acts = u.copy()

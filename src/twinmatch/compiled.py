@@ -130,7 +130,8 @@ def compiled(
         return part
     kernel = numba.njit(nogil=True, error_model="numpy")(function)
     kernel._compiler.compile = functools.partial(_compile_entry, part, addressed)
-    kernel.get_call_template, kernel.get_overload = part.get_call_template, part.get_overload
+    kernel.get_call_template = part.get_call_template
+    kernel.get_overload = part.get_overload
     kernel._cache = _Cache(function)
     return kernel
 
@@ -166,7 +167,8 @@ def _undisturbed() -> Iterator[None]:
 
     numba's lock is held, so no other thread compiles.
     """
-    collects, broadcast = gc.isenabled(), event.broadcast
+    collects = gc.isenabled()
+    broadcast = event.broadcast
     gc.disable()
     event.broadcast = lambda _: None
     try:
@@ -181,7 +183,8 @@ def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
     """Compile for other kernels only: nothing that could be called."""
     codegen = cpu_target.target_context.codegen()
     before = codegen._library_class, codegen.set_env
-    codegen._library_class, codegen.set_env = _Part, lambda *_: None
+    codegen._library_class = _Part
+    codegen.set_env = lambda *_: None
     try:
         return compile_(*args)
     finally:

@@ -63,7 +63,8 @@ class Profile:
 
     def _problems(self) -> Iterator[str]:
         """Why the profile cannot be run; each holds if there is none before it."""
-        unit, allowed = self.unit, f"{self.lowest:g} to {self.highest:g} {self.unit}"
+        unit = self.unit
+        allowed = f"{self.lowest:g} to {self.highest:g} {self.unit}"
         if not self.lowest < self.highest:
             yield f"the range {allowed} is empty"
         if not self.levels or len(self.levels) != len(self.holds):
@@ -242,7 +243,9 @@ class Loop:
         whole = len(read) == len(self._pids) and len(disturbances) in (0, len(self._plant.disturbances))
         whole = whole and len(taken) in (0, len(read)) and not any(map(math.isinf, taken))
         if whole and all(map(math.isfinite, (*read, *disturbances))):
-            self._outputs, self._measured, self._disturbances = read, stamp, tuple(disturbances)
+            self._outputs = read
+            self._measured = stamp
+            self._disturbances = tuple(disturbances)
             self._taken = tuple(taken) or (math.nan,) * len(read)
         else:
             self.refused += 1
@@ -273,17 +276,20 @@ class Loop:
                 self._number = number
             return None
         if self._number is None:
-            self._origin, number = now, 0
+            self._origin = now
+            number = 0
         elif number != self._number + 1:
             self._restart = True
             if self.trial is not None and self.trying:
                 lost = (math.nan,) * len(self._pids)
                 self._show(self.trial, repeat(lost, number - self._number - 1))
-        self._number, self.trouble = number, ""
+        self._number = number
+        self.trouble = ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
         if self.held:
-            self.inputs, self._restart = [drive.rest for drive in self._plant.drives.values()], True
+            self.inputs = [drive.rest for drive in self._plant.drives.values()]
+            self._restart = True
             passed = self.inputs
         else:
             if self.trial is not None and self.trying:
@@ -309,7 +315,9 @@ class Loop:
             raise ControlError("loop: a law without integral gain cannot take over without a bump; give one")
         if self.trying:
             raise ControlError("loop: a law is on trial already; take it back first, or wait")
-        self.trial, self._beside, self._shadows = trial, gains, [Controller(each) for each in gains]
+        self.trial = trial
+        self._beside = gains
+        self._shadows = [Controller(each) for each in gains]
         self._tried_at = ()
         if trial.drives:
             self._exchange()
@@ -327,7 +335,8 @@ class Loop:
     def _exchange(self) -> None:
         """Have the other law drive, continued from the current command."""
         self._gains, self._beside, self.shadow = self._beside, self._gains, ()
-        self._pids, self._restart = [Controller(each) for each in self._gains], True
+        self._pids = [Controller(each) for each in self._gains]
+        self._restart = True
 
     def _show(self, trial: LawTrial, read: Iterable[Signals]) -> None:
         """Show a trial what was read at one tick after another; have the law drive that is then to drive."""
@@ -353,7 +362,8 @@ class Loop:
 
     def _step(self, k: int, reference: float) -> float:
         """One step of a PID; returns what passes of its command."""
-        pid, stands_in = self._pids[k], not math.isnan(self._taken[k])
+        pid = self._pids[k]
+        stands_in = not math.isnan(self._taken[k])
         output = self._taken[k] if stands_in else self._outputs[k]
         if self._restart or stands_in != self._stood_in[k]:
             pid.state = self._continued(k, reference, output)
@@ -409,6 +419,7 @@ class Loop:
     ) -> FloatArray:
         """The state of a PID whose output continues from the current one; without integral action it cannot,
         since the difference would stay for good."""
-        gains, error = gains or self._gains[k], reference - output
+        gains = gains or self._gains[k]
+        error = reference - output
         integral = self.inputs[k] - gains.proportional * error if gains.integral else self._pids[k].state[0]
         return np.array([integral, -output if gains.on_measurement else error])

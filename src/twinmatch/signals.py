@@ -257,7 +257,8 @@ class Window:
         indices = np.array(list(map(attrgetter("index"), samples)))
         gaps = np.flatnonzero(np.diff(indices) != 1)
         if gaps.size:
-            before, after = indices[gaps[0]], indices[gaps[0] + 1]
+            before = indices[gaps[0]]
+            after = indices[gaps[0] + 1]
             raise SignalError(f"window: sample {after} follows sample {before}; give consecutive samples")
         columns = {}
         for name in SIGNALS:
@@ -343,7 +344,8 @@ class Window:
         newer = newer.part(self.last + 1, newer.last)
         columns = {}
         for name in SIGNALS:
-            here, there = getattr(self, name), getattr(newer, name)
+            here = getattr(self, name)
+            there = getattr(newer, name)
             if here.shape[1] != there.shape[1]:
                 raise SignalError(f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal")
             columns[name] = np.concatenate([here, there])

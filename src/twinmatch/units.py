@@ -126,7 +126,8 @@ def conversion(given: str, wanted: str) -> Conversion:
         return Conversion()
     if _TEMPERATURE in (measure(given).dimension, measure(wanted).dimension):
         given, wanted = (_COLUMN_WORDS.get(unit.strip(), unit) for unit in (given, wanted))
-    source, target = measure(given), measure(wanted)
+    source = measure(given)
+    target = measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:
         raise UnitError(f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}")
     quantity = _registry().Quantity

@@ -343,7 +343,8 @@ def test_what_a_number_hides_is_not_judged_but_noted(tmp_path: Path) -> None:
 
 
 def test_the_roots_in_a_dead_time_hide_no_unit(tmp_path: Path) -> None:
-    name, change = "units_root", ("self.loss * (", "sqrt(3) * self.loss * (")
+    name = "units_root"
+    change = ("self.loss * (", "sqrt(3) * self.loss * (")
     path = plant_file(tmp_path, name, change)
     path.write_text(path.read_text().replace("\nclass", "\nfrom sympy import sqrt\n\nclass", 1))
     looked = Dimensions(find_plant(str(path)))

@@ -27,10 +27,17 @@ def errors(parameters: Parameters, states: FloatArray, u: FloatArray, size: int)
 
     Its states stray as a filter of that model error assumes, to first order; pushes fade.
     """
-    random, assumed, model = np.random.default_rng(0), Assumed.of(parameters, 1.0), parameters.model
-    o, n = model.noise.size, states.size
+    random = np.random.default_rng(0)
+    assumed = Assumed.of(parameters, 1.0)
+    model = parameters.model
+    o = model.noise.size
+    n = states.size
     slopes = model.kernels.slopes_at(parameters.vector, states, u, model.disturbances)
-    moves, shows, x, push, found = expm(slopes[1]), slopes[4], np.zeros(n), np.zeros(o), []
+    moves = expm(slopes[1])
+    shows = slopes[4]
+    x = np.zeros(n)
+    push = np.zeros(o)
+    found = []
     for _ in range(size):
         found.append(shows @ x + model.noise * random.standard_normal(o))
         push = assumed.keeps[0] * push + assumed.stray * random.standard_normal(o)
@@ -99,7 +106,8 @@ def test_with_one_sensor_a_drive_and_the_room_are_not_told_apart_either() -> Non
     (said,) = confusions(PLANTS["tclab"], 1.0)
     begins = "faults that cannot be told apart, even under large steps (a sample every 1 s): "
     assert said.startswith(begins)
-    loss, room = "losses (convection to the room)", "temperature of the room"
+    loss = "losses (convection to the room)"
+    room = "temperature of the room"
     assert {f"{loss} and {room}", f"{room} and the drive heater 1"} < {*said.removeprefix(begins).split("; ")}
 
 
@@ -124,7 +132,8 @@ class Walls(Heaters, name="walls"):
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        one, two = self.one - 23.0, self.two - 23.0
+        one = self.one - 23.0
+        two = self.two - 23.0
         flow = self.exchange * (self.two - self.one)
         first = self.first_gain * self.first_power - self.near * one + flow
         second = self.second_gain * self.second_power - flow

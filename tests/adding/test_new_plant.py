@@ -73,8 +73,10 @@ def thermistor(counts: np.ndarray) -> np.ndarray:
 
 def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
     """Readings of a plant by twelve sensors, and the noise of each."""
-    random, size = np.random.default_rng(1), plant.size
-    white, counts = random.standard_normal(size), divider(plant + 273.15)
+    random = np.random.default_rng(1)
+    size = plant.size
+    white = random.standard_normal(size)
+    counts = divider(plant + 273.15)
     many = np.rint(counts + 0.7 * random.standard_normal((8, size))).mean(axis=0)
     thermistors = [np.rint(counts), np.rint(counts + 0.4 * white), np.rint(counts + 3.0 * white), many]
     moving = np.convolve(random.standard_normal(size + 7), np.ones(8) / 8, "valid")
@@ -156,7 +158,9 @@ def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> 
 
 def pid_log(folder: Path, *titles: str) -> Path:
     """A boiler under a PI controller: time, set-point, measured and drive under these titles."""
-    rows, y, integral = [",".join(titles)], 20.0, 0.0
+    rows = [",".join(titles)]
+    y = 20.0
+    integral = 0.0
     for k in range(900):
         target = 40.0 + 20.0 * (k // 300)
         integral += 0.02 * (target - y)
@@ -180,10 +184,13 @@ def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], said: bool
 ) -> None:
     """PID libraries call what they measure Input, and the drive Output."""
-    log, here, name = pid_log(tmp_path, *titles), str(tmp_path), f"boiler_of_{titles[2].lower()}"
+    log = pid_log(tmp_path, *titles)
+    here = str(tmp_path)
+    name = f"boiler_of_{titles[2].lower()}"
     assert main(["new-plant", name, "--from", str(log), "-o", here]) == 0
     assert ("Input is taken as what is measured" in capsys.readouterr().out) == said
-    plant, mapped = tmp_path / f"{name}.py", tmp_path / f"{name}_map.yaml"
+    plant = tmp_path / f"{name}.py"
+    mapped = tmp_path / f"{name}_map.yaml"
     columns = yaml.safe_load(mapped.read_text())["columns"]
     assert [columns[name] for name in ("time", "reference", "output", "input")] == [*titles]
     asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{here}/s"]
@@ -195,7 +202,8 @@ def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
 
 def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
     """A thermocouple that jumps by tens of kelvin within a second, and a file without typical parameters."""
-    random, pole = np.random.default_rng(3), np.exp(-1.0 / 120.0)
+    random = np.random.default_rng(3)
+    pole = np.exp(-1.0 / 120.0)
     u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 300)
     block = lfilter([0.0, 1 - pole], [1.0, -pole], 0.6 * u) + 20.0 + 0.1 * random.standard_normal(u.size)
     spikes = np.zeros(u.size)
@@ -303,7 +311,8 @@ def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> 
 
 def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
     """The heater acts 10 s later than it is recorded; nobody has touched the file."""
-    random, late = np.random.default_rng(3), 10
+    random = np.random.default_rng(3)
+    late = 10
     power = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
     acts = np.concatenate([np.zeros(late), power[:-late]])
     pole = np.exp(-1.0 / 60.0)
@@ -324,8 +333,10 @@ def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) ->
 
 def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
     """Something that nobody measured adds 4 K to a measured room, and the sensor lags by 8 s."""
-    room, u = 20 + np.sin(np.arange(1200) / 100), np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
-    slow, late = np.exp(-1.0 / 60.0), np.exp(-1.0 / 8.0)
+    room = 20 + np.sin(np.arange(1200) / 100)
+    u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
+    slow = np.exp(-1.0 / 60.0)
+    late = np.exp(-1.0 / 8.0)
     inner = lfilter([0.0, 1 - slow], [1.0, -slow], 0.5 * u + room + 4.0 - 24.0)
     y = 24.0 + lfilter([0.0, 1 - late], [1.0, -late], inner)
     y += 0.05 * np.random.default_rng(3).standard_normal(u.size)
@@ -480,7 +491,8 @@ def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None
 
 
 def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
-    truth, rng = Heaters.model().parameters(), np.random.default_rng(4)
+    truth = Heaters.model().parameters()
+    rng = np.random.default_rng(4)
     u = np.repeat(rng.uniform(0.0, 60.0, (20, 2)), 50, axis=0)
     y = simulate_driven(truth, u, states=begin(truth, [23.0, 23.0]), period=2.0).outputs
     y += np.array([0.1, 0.6]) * rng.standard_normal(y.shape)
@@ -504,7 +516,8 @@ def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) ->
     """Of those that are watched beside a plant; the others are compared by the check alone."""
     if not (OTHERS / "incubator" / f"{name}.csv").exists():
         pytest.skip("the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS")
-    table, out = OTHERS / "incubator" / f"{name}.csv", tmp_path / "session"
+    table = OTHERS / "incubator" / f"{name}.csv"
+    out = tmp_path / "session"
     mapped = ["time=time", "output=t2, t3", "input=heater_on", "room=t1"]
     assert main(["import", str(table), "--plant", "incubator", "--map", *mapped, "-o", str(out)]) == 0
     session = open_any(out)

@@ -28,7 +28,8 @@ def rig_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, r
 
 
 def kit_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
-    warm, cold = x[0], room + KELVIN
+    warm = x[0]
+    cold = room + KELVIN
     radiated = 0.9 * 5.670374e-8 * 10e-4 * (warm**4 - cold**4)
     return p["heating"] * u - p["losses"] * 10e-4 * (warm - cold) - radiated
 
@@ -59,7 +60,8 @@ CASES: dict[str, tuple[float, Callable[..., float]]] = {
 
 @pytest.mark.parametrize("name", OWN)
 def test_at_rest_as_much_enters_a_plant_as_leaves_it(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    (u, out_of_balance), kind = CASES[name], KINDS[name]
+    u, out_of_balance = CASES[name]
+    kind = KINDS[name]
     plant = AbroadPlant(kind, 3, (), closed=False)
     monkeypatch.setattr(plant, "_level", lambda _: u)
     monkeypatch.setitem(plant.parameters, "box_capacity", 500.0)  # hours pass before a real one is at rest
@@ -108,7 +110,8 @@ def test_a_plant_that_has_nothing_special_is_what_its_file_says(name: str) -> No
     kind = KINDS[name]
     plant = AbroadPlant(kind, 7, (), closed=False)
     plant.parameters |= {"dry": 0.0} if name == "motor" else {}
-    truth, samples = list[float](), list[Sample]()
+    truth = list[float]()
+    samples = list[Sample]()
     for sample in plant.run(600):
         truth.append(plant.output)
         samples.append(sample)

@@ -99,7 +99,8 @@ def test_a_slow_program_is_not_asked_twice(common) -> None:
 
 def test_a_ratio_is_that_of_rounds_not_of_medians(common) -> None:
     """A machine that slows down threefold half-way changes no ratio."""
-    ours, peers = common.Timing((1.0, 1.0, 3.0, 3.0)), common.Timing((2.0, 2.0, 6.0, 6.0))
+    ours = common.Timing((1.0, 1.0, 3.0, 3.0))
+    peers = common.Timing((2.0, 2.0, 6.0, 6.0))
     assert peers.ratio_to(ours) == 2.0
     assert common.Timing(()).ratio_to(ours) is None
 

@@ -90,7 +90,8 @@ FULL = 100
 
 def test_a_client_that_does_not_read_holds_nobody_up(serve: Callable[..., Broadcast]) -> None:
     broadcast = serve(patience=10 * PATIENCE)
-    asleep, awake = join(broadcast, buffer=4096), join(broadcast)
+    asleep = join(broadcast, buffer=4096)
+    awake = join(broadcast)
     heard(broadcast, awake, 0)
     for _ in range(FULL):
         broadcast.publish(message(1))
@@ -103,7 +104,8 @@ def test_a_client_that_does_not_read_is_dropped_and_the_others_are_not(
     serve: Callable[..., Broadcast], caplog: pytest.LogCaptureFixture
 ) -> None:
     broadcast = serve(patience=0.3)
-    asleep, awake = join(broadcast, buffer=4096), join(broadcast)
+    asleep = join(broadcast, buffer=4096)
+    awake = join(broadcast)
     heard(broadcast, awake, 0)
     deadline = time.monotonic() + PATIENCE
     while "took no whole frame" not in caplog.text:
@@ -175,7 +177,8 @@ def test_what_clients_say_is_ignored(serve: Callable[..., Broadcast]) -> None:
 
 def test_a_client_that_resets(serve: Callable[..., Broadcast]) -> None:
     broadcast = serve()
-    rude, polite = join(broadcast), join(broadcast)
+    rude = join(broadcast)
+    polite = join(broadcast)
     heard(broadcast, rude, 1)
     rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     rude.close()
@@ -210,7 +213,8 @@ def pipe() -> Iterator[tuple[int, BinaryIO]]:
 
 
 def test_each_line_makes_an_image_and_a_repeated_one_repeats_it(pipe: tuple[int, BinaryIO]) -> None:
-    source, leader = FollowedSource(pipe[0]), pipe[1]
+    source = FollowedSource(pipe[0])
+    leader = pipe[1]
     source.open()
     assert source.read(0.01) is None
     exposures = []
@@ -227,7 +231,8 @@ def test_each_line_makes_an_image_and_a_repeated_one_repeats_it(pipe: tuple[int,
 
 
 def test_of_several_lines_the_newest_counts(pipe: tuple[int, BinaryIO]) -> None:
-    source, leader = FollowedSource(pipe[0]), pipe[1]
+    source = FollowedSource(pipe[0])
+    leader = pipe[1]
     leader.write(b"0 20 0\n1 30 0\n2 4")
     assert source.read(5.0) is not None
     leader.write(b"0 0\n")
@@ -252,7 +257,8 @@ def test_of_several_lines_the_newest_counts(pipe: tuple[int, BinaryIO]) -> None:
 def test_an_invalid_line_is_left_out(
     pipe: tuple[int, BinaryIO], line: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    source, leader = FollowedSource(pipe[0]), pipe[1]
+    source = FollowedSource(pipe[0])
+    leader = pipe[1]
     leader.write(line)
     assert source.read(5.0) is None
     assert "write the time in s, the temperature in" in caplog.text
@@ -261,7 +267,8 @@ def test_an_invalid_line_is_left_out(
 
 
 def test_time_cannot_go_back(pipe: tuple[int, BinaryIO], caplog: pytest.LogCaptureFixture) -> None:
-    source, leader = FollowedSource(pipe[0]), pipe[1]
+    source = FollowedSource(pipe[0])
+    leader = pipe[1]
     for line in (b"5 20 0\n", b"6 20 0\n"):
         leader.write(line)
         assert source.read(5.0) is not None

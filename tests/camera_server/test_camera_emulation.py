@@ -54,7 +54,8 @@ def test_any_temperature_is_seen_to_half_a_count(plate: float) -> None:
 def test_the_plate_is_warmest_in_its_middle() -> None:
     settings = LeptonSettings(pixel_noise=0.0, common_noise=0.0, drift=0.0, gradient=0.05)
     degrees = celsius(film(EmulatedLepton(settings), 63.0, 2)[-1])
-    row, column = PLATE.row + PLATE.rows // 2, PLATE.column + PLATE.columns // 2
+    row = PLATE.row + PLATE.rows // 2
+    column = PLATE.column + PLATE.columns // 2
     corner = degrees[PLATE.row, PLATE.column]
     assert degrees[row, column] == pytest.approx(63.0, abs=0.02)
     # The corner pixel's centre lies half a pixel inside the plate's corner.

@@ -339,7 +339,8 @@ class FakeLinuxpy(ModuleType):
             def close(self) -> None:
                 linuxpy.done.append("off")
 
-        self.Device, self.VideoCapture = Device, VideoCapture
+        self.Device = Device
+        self.VideoCapture = VideoCapture
 
     def end(self) -> None:
         os.close(self.readable)

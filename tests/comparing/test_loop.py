@@ -52,7 +52,8 @@ PLATE = {"seebeck": 0.06, "conductance": 0.5, "heat_capacity": 27.0}
 SINK = {"sink_heat_capacity": 300.0, "sink_convection": 4.0}
 RIG = Peltier.model().parameters(**PLATE)
 GAINS = Peltier.loop
-KELVIN, VOLTS_PER_COUNT = 273.15, 12.0 / 255.0
+KELVIN = 273.15
+VOLTS_PER_COUNT = 12.0 / 255.0
 UNITS = Scales(1.0, 1.0)
 
 
@@ -86,7 +87,9 @@ def balance(rig: Parameters, celsius: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("celsius", [15.0, 30.0, 60.0, 90.0])
 def test_the_plant_is_the_energy_balance_linearised_by_hand(celsius: float) -> None:
-    plate, seebeck, capacity = celsius + KELVIN, RIG["seebeck"], RIG["heat_capacity"]
+    plate = celsius + KELVIN
+    seebeck = RIG["seebeck"]
+    capacity = RIG["heat_capacity"]
     current, _ = balance(RIG, celsius)
     loop = RIG["resistance"] + RIG["bridge_resistance"]
     by_current = seebeck * plate - RIG["resistance"] * current
@@ -165,7 +168,8 @@ def test_a_controller_without_a_part_has_no_dynamics_of_it(gains: PidGains, part
 
 def test_the_margin_ends_where_the_simulated_loop_does() -> None:
     """All gains times k: the margin falls to 0 at the k above which a small movement grows."""
-    low, high = 1.0, 200.0
+    low = 1.0
+    high = 200.0
     rig = Lagging.model().parameters(**PLATE, sensor_lag=2.0)
 
     def gains(k: float) -> PidGains:
@@ -343,12 +347,17 @@ def poly(*roots: float) -> list[float]:
 @pytest.mark.parametrize("shared", [-1.0, 0.0, 1.3, 5.0])
 def test_a_pole_both_outputs_share_counts_once(shared: float) -> None:
     """y with the poles p, a and u with p, b: the product of the denominators has p twice."""
-    y1, u1 = ([1.0], poly(shared, -2.0)), ([3.0, 1.0], poly(shared, -5.0))
-    y2, u2 = ([1.1], poly(shared, -2.0)), ([3.0, 1.2], poly(shared, -5.0))
+    y1 = ([1.0], poly(shared, -2.0))
+    u1 = ([3.0, 1.0], poly(shared, -5.0))
+    y2 = ([1.1], poly(shared, -2.0))
+    u2 = ([3.0, 1.2], poly(shared, -5.0))
     common = poly(shared, -2.0, -5.0)
-    y1c, y2c = ([1.0, 5.0], common), ([1.1, 5.5], common)
-    u1c, u2c = (poly(-1 / 3, -2.0), common), (poly(-0.4, -2.0), common)
-    u1c, u2c = ([3 * c for c in u1c[0]], common), ([3 * c for c in u2c[0]], common)
+    y1c = ([1.0, 5.0], common)
+    y2c = ([1.1, 5.5], common)
+    u1c = (poly(-1 / 3, -2.0), common)
+    u2c = (poly(-0.4, -2.0), common)
+    u1c = ([3 * c for c in u1c[0]], common)
+    u2c = ([3 * c for c in u2c[0]], common)
     assert gap_of([y1, u1], [y2, u2]) == pytest.approx(gap_of([y1c, u1c], [y2c, u2c]), rel=1e-11)
     assert gap_of([y1, u1], [y2, u2]) < 0.3
 
@@ -357,7 +366,8 @@ def test_a_pole_both_outputs_share_counts_once(shared: float) -> None:
 def test_an_unstable_pole_shared_by_rounded_denominators_counts_once(seed: int, shared: float) -> None:
     """Each denominator is multiplied out on its own, so the pole is common only to within rounding."""
     rng = np.random.default_rng(seed)
-    y, u = rng.uniform(0.3, 0.9, 2), rng.uniform(0.3, 0.9, 2)
+    y = rng.uniform(0.3, 0.9, 2)
+    u = rng.uniform(0.3, 0.9, 2)
 
     def pair(gain: float) -> tuple[GraphSymbol, GraphSymbol]:
         apart = [([gain], np.poly([shared, *y])), ([2.0], np.poly([shared, *u]))]
@@ -365,7 +375,8 @@ def test_an_unstable_pole_shared_by_rounded_denominators_counts_once(seed: int, 
         together = [(gain * np.poly(u), whole), (2.0 * np.poly(y), whole)]
         return tuple(GraphSymbol.of_transfer_functions(p, 1.0) for p in (apart, together))
 
-    (apart1, together1), (apart2, together2) = pair(1.0), pair(1.1)
+    apart1, together1 = pair(1.0)
+    apart2, together2 = pair(1.1)
     # the coefficients of the two ways to write it differ by rounding, and slow poles amplify that
     assert nu_gap(apart1, apart2) == pytest.approx(nu_gap(together1, together2), rel=1e-8)
     assert nu_gap(apart1, apart2) < 0.2
@@ -389,7 +400,8 @@ def test_double_integrators_shared_by_both_outputs() -> None:
 
 @pytest.mark.parametrize("hidden", [(1.3,), (0.0,), (2.0, 0.1), (1.0, 1.0), (0.5, -1.0)])
 def test_hidden_unstable_modes_are_cancelled(hidden: tuple[float, ...]) -> None:
-    plain, other = ([1.0], [1.0, 2.0]), ([1.1], [1.0, 2.1])
+    plain = ([1.0], [1.0, 2.0])
+    other = ([1.1], [1.0, 2.1])
     clouded = (poly(*hidden), [float(c) for c in np.polymul(poly(*hidden), [1.0, 2.0])])
     assert gap_of([clouded], [other]) == pytest.approx(gap_of([plain], [other]), rel=1e-9)
 
@@ -408,8 +420,10 @@ def test_powers_of_the_delay_are_padded_at_the_end() -> None:
 @given(st.integers(0, 10**9), st.integers(0, 6))
 def test_state_space_models_are_converted_exactly(seed: int, order: int) -> None:
     rng = np.random.default_rng(seed)
-    A, B = rng.integers(-9, 9, (order, order)) / 4, rng.integers(-9, 9, (order, 1)) / 2
-    C, D = rng.integers(-9, 9, (2, order)) / 8, rng.integers(-9, 9, (2, 1)) / 1
+    A = rng.integers(-9, 9, (order, order)) / 4
+    B = rng.integers(-9, 9, (order, 1)) / 2
+    C = rng.integers(-9, 9, (2, order)) / 8
+    D = rng.integers(-9, 9, (2, 1)) / 1
     column = column_of(A, B, C, D)
     s = 1.75
     resolvent = s * np.eye(order) - A

@@ -74,7 +74,8 @@ def system(rng: np.random.Generator, order: int, outputs: int, discrete: bool) -
         roots: list[complex] = []
         while len(roots) < degree:
             side = -1 if rng.random() < 0.75 else 1
-            size, damping = 10 ** rng.uniform(-1.5, 0.5), rng.uniform(0.1, 1)
+            size = 10 ** rng.uniform(-1.5, 0.5)
+            damping = rng.uniform(0.1, 1)
             if degree - len(roots) > 1:
                 pair = size * (side * damping + 1j * np.sqrt(1 - damping**2))
                 roots += [pair, pair.conjugate()]
@@ -94,7 +95,8 @@ def symbol(fractions: list[Any], discrete: bool) -> GraphSymbol:
 
 def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> Any:
     """40 digits: roots for stability, ‖[P; 1](1 + CP)⁻¹[1 C]‖ sampled and refined for the margin."""
-    common_p, common_c = plant[0][1], controller[0][1]
+    common_p = plant[0][1]
+    common_c = controller[0][1]
     exact = [[mp.mpf(float(c)) for c in p] for p in (common_p, common_c)]
     terms = [product(*exact)]
     for (n, _), (m, _) in zip(plant, controller, strict=True):
@@ -119,9 +121,11 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
     best = min(margin(mp.mpf(-60)), margin(mp.mpf(60)))
     golden = (mp.sqrt(5) - 1) / 2
     for k in sorted(range(1, len(nodes) - 1), key=lambda k: values[k])[:3]:
-        low, high = mp.mpf(nodes[k - 1]), mp.mpf(nodes[k + 1])
+        low = mp.mpf(nodes[k - 1])
+        high = mp.mpf(nodes[k + 1])
         for _ in range(34):
-            left, right = high - golden * (high - low), low + golden * (high - low)
+            left = high - golden * (high - low)
+            right = low + golden * (high - low)
             if margin(left) < margin(right):
                 high = right
             else:
@@ -160,7 +164,8 @@ def test_random_loops_to_twelve_digits(order: int, discrete: bool) -> None:
 def test_against_the_norm_of_python_control(seed: int) -> None:
     """1/‖·‖∞ of the closed loop in state space, a bisection over Hamiltonian matrices."""
     rng = np.random.default_rng(seed)
-    p, c = control.rss(3, 1, 1, strictly_proper=True), control.rss(2, 1, 1)
+    p = control.rss(3, 1, 1, strictly_proper=True)
+    c = control.rss(2, 1, 1)
     for part in (p, c):
         for matrix in (part.A, part.B, part.C, part.D):
             matrix[:] = rng.normal(0, 1, matrix.shape)

@@ -84,7 +84,8 @@ def random_plant(
     basis = rng.standard_normal((n, n))
     poles = (1 + sizes / 2) / (1 - sizes / 2) if discrete else sizes
     a = basis @ np.diag(poles) @ np.linalg.inv(basis)
-    b, c = rng.standard_normal((n, inputs)), rng.standard_normal((outputs, n))
+    b = rng.standard_normal((n, inputs))
+    c = rng.standard_normal((outputs, n))
     return StateSpace(a, b, c, rng.standard_normal((outputs, inputs)), 1.0 if discrete else None)
 
 
@@ -173,7 +174,8 @@ def test_is_a_metric_and_ignores_rotations(seed: int, discrete: bool) -> None:
     rng = np.random.default_rng(seed)
     outputs, inputs = (int(k) for k in rng.integers(1, 4, 2))
     first = random_plant(rng, 3, outputs, inputs, discrete)
-    second, third = near(rng, first, 0.3), random_plant(rng, 2, outputs, inputs, discrete)
+    second = near(rng, first, 0.3)
+    third = random_plant(rng, 2, outputs, inputs, discrete)
     gap = matrix_nu_gap(first, second)
     assert 0 <= gap <= 1
     assert matrix_nu_gap(first, first) == 0
@@ -214,7 +216,8 @@ def test_what_is_nearer_than_the_margin_is_stabilised(seed: int, discrete: bool)
 
 def test_common_integrators_and_hidden_modes_change_nothing() -> None:
     """G/s, with G of rank one, has one integrator; written with two it has a hidden one."""
-    column, row = np.array([[1.0], [2.0]]), np.array([[0.5, -1.0]])
+    column = np.array([[1.0], [2.0]])
+    row = np.array([[0.5, -1.0]])
     for period in (None, 1.0):
         pole = 0.0 if period is None else 1.0
         once = [
@@ -264,7 +267,9 @@ def is_stable_fraction(plant: Any) -> bool:
 def test_a_law_becomes_the_controller_of_its_loop() -> None:
     """Its response to a disturbed reading is −C's, as the law computes it sample by sample."""
     rng = np.random.default_rng(2)
-    q, m, p = 3, 2, 2
+    q = 3
+    m = 2
+    p = 2
     shapes = {"A": (q, q), "B": (q, p), "C": (m, q), "D": (m, p), "E": (m, 2), "F": (q, 2), "G": (q, m)}
     matrices: Any = {name: 0.3 * rng.standard_normal(shape) for name, shape in shapes.items()}
     laws = [
@@ -275,7 +280,8 @@ def test_a_law_becomes_the_controller_of_its_loop() -> None:
     ]
     for law in laws:
         c = StateSpace.of(law)
-        running, state = Controller(law), np.zeros(law.n_states)
+        running = Controller(law)
+        state = np.zeros(law.n_states)
         for k in range(6):
             y = rng.standard_normal(law.n_outputs)
             u = running.step(np.zeros(law.n_references), y)
@@ -374,7 +380,9 @@ def lqg(of: dict[str, np.ndarray]) -> StateSpace:
     a, b, c, bd, cd = (of[name] for name in ("A", "B", "C", "Bd", "Cd"))
     riccati = solve_discrete_are(a, b, c.T @ of["Qs"] @ c, of["Rs"])
     gain = np.linalg.solve(of["Rs"] + b.T @ riccati @ b, b.T @ riccati @ a)
-    n, m, d = len(a), b.shape[1], bd.shape[1]
+    n = len(a)
+    m = b.shape[1]
+    d = bd.shape[1]
     target = np.linalg.solve(
         np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), m))]]), np.vstack([bd, -cd])
     )

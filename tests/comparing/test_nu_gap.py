@@ -52,7 +52,8 @@ seeds = st.integers(0, 10**9)
 
 def chordal_distance(p1: object, p2: object, frequencies: FloatArray) -> FloatArray:
     """Chordal distance at frequencies in rad/s, from exact coefficients."""
-    g1, g2 = graph_symbol(p1), graph_symbol(p2)
+    g1 = graph_symbol(p1)
+    g2 = graph_symbol(p2)
     omega = np.asarray(frequencies, dtype=np.float64)
     minors = tuple(map(chordal.with_powers_of_j, chordal.minors(*g1.coefficients, *g2.coefficients)))
     half = float(g1.period or 0.0) / 2
@@ -145,7 +146,9 @@ def model(rng: np.random.Generator, outputs: int = 2, order: int = 3, period: fl
 def test_it_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
     rng = np.random.default_rng(seed)
     a, b, c = (model(rng, outputs, order, period) for _ in range(3))
-    ab, bc, ac = nu_gap(a, b), nu_gap(b, c), nu_gap(a, c)
+    ab = nu_gap(a, b)
+    bc = nu_gap(b, c)
+    ac = nu_gap(a, c)
     assert all(0 <= gap <= 1 for gap in (ab, bc, ac))
     assert nu_gap(b, a) == pytest.approx(ab, rel=1e-12)
     assert nu_gap(a, a) == 0.0
@@ -155,7 +158,8 @@ def test_it_is_a_distance(seed: int, outputs: int, order: int, period: float) ->
 @given(seeds, st.sampled_from([0.0, 0.5]))
 def test_it_bounds_the_chordal_distance_at_every_frequency(seed: int, period: float) -> None:
     rng = np.random.default_rng(seed)
-    a, b = model(rng, period=period), model(rng, period=period)
+    a = model(rng, period=period)
+    b = model(rng, period=period)
     frequencies = np.exp(rng.normal(0, 3, 20)) if period == 0 else rng.uniform(0, math.pi / period, 20)
     assert np.all(chordal_distance(a, b, frequencies) <= nu_gap(a, b) + 1e-14)
 
@@ -163,7 +167,8 @@ def test_it_bounds_the_chordal_distance_at_every_frequency(seed: int, period: fl
 @given(seeds, st.integers(1, 3), st.floats(0.1, 10))
 def test_it_does_not_change_under_the_bilinear_map(seed: int, order: int, rate: float) -> None:
     rng = np.random.default_rng(seed)
-    continuous, discrete = [], []
+    continuous = []
+    discrete = []
     for _ in range(2):
         polynomials = [np.poly(rng.normal(-0.5, 1.0, order)), rng.normal(size=order + 1)]
         continuous.append(GraphSymbol.of_polynomials(polynomials[0], polynomials[1:], 0.0))
@@ -182,7 +187,8 @@ def test_it_does_not_change_under_the_bilinear_map(seed: int, order: int, rate: 
 def test_small_gain_changes_are_small_gaps(seed: int) -> None:
     """P and (1 + ε)P are ε|P|/(1 + |P|²) apart, at most ε/2, to first order in ε."""
     rng = np.random.default_rng(seed)
-    d, n = np.poly(rng.normal(-0.5, 1.0, 3)), rng.normal(size=3)
+    d = np.poly(rng.normal(-0.5, 1.0, 3))
+    n = rng.normal(size=3)
     g1 = GraphSymbol.of_polynomials(d, [n], 0.0)
     g2 = GraphSymbol.of_polynomials(d, [n * (1 + 2.0**-27)], 0.0)
     frequencies = np.logspace(-4, 4, 4000)
@@ -202,7 +208,8 @@ def test_matrix_of_all_pairs() -> None:
 
 
 def test_chordal_distance_of_known_points() -> None:
-    p1, p2 = 1 / S, 1.1 / S
+    p1 = 1 / S
+    p2 = 1.1 / S
     w = np.array([[0.0, 1.0], [2.0, 1e9]])
     expected = 0.1 * w / np.sqrt((1 + w**2) * (1.21 + w**2))
     assert np.allclose(chordal_distance(p1, p2, w), expected, rtol=1e-14, atol=0)
@@ -300,7 +307,8 @@ def test_a_family_of_integrators_has_distances_with_intervals() -> None:
     twins = [Candidate("", 0.0, servo, None, ("k", "t"), known) for servo in (one, other)]
     gaps = plant_gaps([one, other], POINTS, TERMS)
     found = family_uncertainty(twins, gaps, TERMS, seed=1)
-    low, high = found.nu_gap_low[0, 1], found.nu_gap_high[0, 1]
+    low = found.nu_gap_low[0, 1]
+    high = found.nu_gap_high[0, 1]
     assert 0.0 < low < gaps.matrix[0, 1] < high < 1.0
 
 

@@ -54,9 +54,11 @@ def largest(p1: Fractions, p2: Fractions, discrete: bool) -> object:
     best = max(distance(p1, p2, mp.mpf(end), discrete) for end in (-60, 60))
     golden = (mp.sqrt(5) - 1) / 2
     for k in sorted(range(1, len(NODES) - 1), key=lambda k: -values[k])[:3]:
-        low, high = mp.mpf(NODES[k - 1]), mp.mpf(NODES[k + 1])
+        low = mp.mpf(NODES[k - 1])
+        high = mp.mpf(NODES[k + 1])
         for _ in range(32):
-            left, right = high - golden * (high - low), low + golden * (high - low)
+            left = high - golden * (high - low)
+            right = low + golden * (high - low)
             if distance(p1, p2, left, discrete) > distance(p1, p2, right, discrete):
                 high = right
             else:
@@ -87,7 +89,8 @@ def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
         width = max(map(len, whole))
         return [[mp.mpf(0)] * (width - len(e)) + e for e in whole]
 
-    g1, g2 = column(p1), column(p2)
+    g1 = column(p1)
+    g2 = column(p2)
     if discrete:
         mirrored = [e[::-1] for e in g2]
     else:
@@ -104,7 +107,8 @@ def random_model(rng: np.random.Generator, order: int, discrete: bool, outputs: 
     def polynomial(degree: int, stable: bool) -> np.ndarray:
         roots: list[complex] = []
         while len(roots) < degree:
-            size, damping = 10 ** rng.uniform(-1.5, 0.5), rng.uniform(0.1, 1)
+            size = 10 ** rng.uniform(-1.5, 0.5)
+            damping = rng.uniform(0.1, 1)
             side = -1 if stable or rng.random() < 0.8 else 1
             if degree - len(roots) > 1:
                 pair = size * (side * damping + 1j * np.sqrt(1 - damping**2))

@@ -189,7 +189,8 @@ def test_a_point_at_which_one_twin_has_no_plant_is_left_out_for_all() -> None:
 
 
 def test_a_loop_that_diverges_is_refused() -> None:
-    lag, scales = Lag.model().parameters(), spans_of(Lag)
+    lag = Lag.model().parameters()
+    scales = spans_of(Lag)
     calm = LoopConditions(PidGains(1.0, 0.1, 0.0, 1.0, -10.0, 10.0), scales)
     assert linearised_in_loop(lag, 3.0, calm).rest.states[0] == pytest.approx(3.0, abs=1e-6)
     wild = LoopConditions(PidGains(1e6, 0.0, 0.0, 0.0, -1e308, 1e308), scales)
@@ -231,7 +232,8 @@ def test_a_parameter_on_the_edge_of_what_is_possible_has_a_slope() -> None:
 
 
 def test_at_rest_the_linearisation_is_that_of_the_rest() -> None:
-    at, rest = linearised_in_loop(ONE, 50.0, TERMS), linearised(ONE, 50.0, 1.0)
+    at = linearised_in_loop(ONE, 50.0, TERMS)
+    rest = linearised(ONE, 50.0, 1.0)
     np.testing.assert_allclose(at.rest.states, rest.rest.states, atol=1e-3)
     np.testing.assert_allclose(at.A, rest.A, rtol=1e-5)
     np.testing.assert_allclose(at.B, rest.B, rtol=1e-4)
@@ -253,7 +255,8 @@ def test_it_ranks_how_differently_twins_behave() -> None:
         twins.append(RICH.parameters(**plate, **sink) if k % 2 else MODEL.parameters(**plate))
     runs = [simulate_closed_loop(t, reference, states=begin(t, 30.0), law=GAINS) for t in twins]
     gaps = plant_gaps(twins, (30.0, 50.0, 75.0), TERMS).matrix
-    apart, behaviour = [], []
+    apart = []
+    behaviour = []
     for i, j in itertools.combinations(range(len(twins)), 2):
         y = (runs[i].output - runs[j].output) / 0.1
         u = (runs[i].input - runs[j].input) / 7.0
@@ -302,7 +305,8 @@ COMPLETE = tuple(row for row in ROWS if row.set_point in SAMPLES)
 @pytest.mark.parametrize("row", ROWS)
 def test_published_gains_are_differences_of_published_lengths(row: Row) -> None:
     trivial_y, model_y, gain_y, trivial_u, model_u, gain_u, total = row.lengths
-    y, u = InformationGain(trivial_y, model_y), InformationGain(trivial_u, model_u)
+    y = InformationGain(trivial_y, model_y)
+    u = InformationGain(trivial_u, model_u)
     assert (y.gain, u.gain, y.gain + u.gain) == (gain_y, gain_u, total)
     assert y.explanation == pytest.approx(gain_y / trivial_y)
 

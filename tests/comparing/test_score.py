@@ -126,7 +126,8 @@ def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_w
     window = measured()
     own = identify(window)[0]
     slow = identify(measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
-    right, wrong = score(own, window, absolute=KELVIN), score(slow, window, absolute=KELVIN)
+    right = score(own, window, absolute=KELVIN)
+    wrong = score(slow, window, absolute=KELVIN)
     assert right.y.gain > wrong.y.gain
     assert right.y.naic < wrong.y.naic
     assert 0.0 < right.y.explanation < 1.0
@@ -143,7 +144,8 @@ def test_lengths_are_those_of_the_tables() -> None:
 def test_the_gap_of_a_twin_to_its_own_plant_is_small_and_to_another_large() -> None:
     window = measured()
     plant = identify(window)[0]
-    gains, sensor = Peltier.loop, Peltier.sensor
+    gains = Peltier.loop
+    sensor = Peltier.sensor
     near = identify(twin_response(RIG, window, gains, sensor, seed=7))[0]
     far_rig = MODEL.parameters(seebeck=0.15, conductance=0.2, heat_capacity=20.0)
     far = identify(twin_response(far_rig, window, gains, sensor, seed=7))[0]
@@ -220,8 +222,10 @@ def chordal(p1: Responses, p2: Responses) -> np.ndarray:
 @given(st.integers(0, 10**9))
 def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    p1, p2 = responses(rng, 6), responses(rng, 6)
-    m1, m2 = p1 + 0.2 * responses(rng, 4, 6), p2 + 0.2 * responses(rng, 4, 6)
+    p1 = responses(rng, 6)
+    p2 = responses(rng, 6)
+    m1 = p1 + 0.2 * responses(rng, 4, 6)
+    m2 = p2 + 0.2 * responses(rng, 4, 6)
     still = directions(np.array([p1, p2]))
     a, b, c = disturbed_pair(still[0], still[1], directions(m1), directions(m2))
     np.testing.assert_allclose(np.sqrt(a), chordal(p1, p2), rtol=1e-9)
@@ -235,7 +239,8 @@ def test_the_winding_condition_of_stable_models_on_a_grid(seed: int) -> None:
     rng = np.random.default_rng(seed)
     angles = np.linspace(0, np.pi, 2000)
     z = np.exp(1j * angles)
-    symbols, columns = [], []
+    symbols = []
+    columns = []
     for _ in range(2):
         d = np.poly(rng.uniform(-0.9, 0.95, 2))
         n = rng.normal(0, 1.5, 2)
@@ -254,7 +259,8 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
     """Two lags of gain 2 are near each other at both points; a draw turns one of them round at the second."""
     z = np.exp(1j * np.linspace(0, np.pi, 400))
     lag = 0.2 / (z - 0.9)
-    near, far = np.concatenate([lag, lag]), np.concatenate([lag, -lag])
+    near = np.concatenate([lag, lag])
+    far = np.concatenate([lag, -lag])
     still, other = directions(np.array([near, 1.1 * near]))
     moved = directions(np.array([near, near])), directions(np.array([1.1 * near, 1.1 * far]))
     a, _, c = disturbed_pair(still, other, *moved)
@@ -269,7 +275,9 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
 def test_scales_of_a_known_spread() -> None:
     """One frequency, |t·v + e| with v = 0.5 and real e: t·v = 0.5 − e at its own quantiles."""
     e = np.linspace(-0.2, 0.2, 1001)
-    a, b, c = np.array([[0.25]]), (2 * 0.5 * e).reshape(1, 1, -1), (e**2).reshape(1, 1, -1)
+    a = np.array([[0.25]])
+    b = (2 * 0.5 * e).reshape(1, 1, -1)
+    c = (e**2).reshape(1, 1, -1)
     least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
     assert 0.5 * least == pytest.approx(0.5 - 0.18, abs=2e-3)
     assert 0.5 * most == pytest.approx(0.5 + 0.18, abs=2e-3)
@@ -279,10 +287,13 @@ def test_what_noise_alone_explains_may_be_nothing() -> None:
     rng = np.random.default_rng(3)
     e = 0.1 * (rng.normal(size=(1, 400, 20)) + 1j * rng.normal(size=(1, 400, 20)))
     # In the order of the arrays that twins give, or kernels would be compiled for another one.
-    moved, held = np.ascontiguousarray(np.swapaxes(e, 1, 2)), []
+    moved = np.ascontiguousarray(np.swapaxes(e, 1, 2))
+    held = []
     for _ in range(60):
         v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))  # estimated: noise again
-        a, b, c = np.abs(v) ** 2, 2 * (v.conj()[:, :, None] * moved).real, np.abs(moved) ** 2
+        a = np.abs(v) ** 2
+        b = 2 * (v.conj()[:, :, None] * moved).real
+        c = np.abs(moved) ** 2
         least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
         held.append(least == 0.0)
         assert most < 3.0
@@ -332,7 +343,8 @@ def smallest_sum() -> str:
 def test_every_field_is_filled_with_what_its_source_says() -> None:
     found = judged()
     known = family_uncertainty(twins(), gaps(twins()), TERMS)
-    nominal, controller = loop_plant(RIGS["70 °C"], 70.0), loop_controller(law_of(Peltier, 1.0))
+    nominal = loop_plant(RIGS["70 °C"], 70.0)
+    controller = loop_controller(law_of(Peltier, 1.0))
     for k, (candidate, rig) in enumerate(zip(found.candidates, RIGS.values(), strict=True)):
         plant = loop_plant(rig, candidate.operating_point)
         assert candidate.margin == stability_margin(plant, controller)
@@ -391,7 +403,8 @@ def test_a_controller_that_is_too_hot_holds_nothing() -> None:
 
 
 def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
-    family, matrix = twins(), gaps(twins())
+    family = twins()
+    matrix = gaps(twins())
 
     def with_capacity(heat_capacity: float) -> Certainty:
         rigs = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=heat_capacity)}

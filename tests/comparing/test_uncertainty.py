@@ -67,8 +67,12 @@ class Coverage(NamedTuple):
 def coverage(rigs: Sequence[Parameters], families: int, seed: int = 1) -> Coverage:
     rng = np.random.default_rng(seed)
     true = apart(rigs).matrix
-    pairs, total = np.triu_indices(len(true), 1), true.sum(axis=0)
-    gaps, sums, chosen, right = [], [], [], []
+    pairs = np.triu_indices(len(true), 1)
+    total = true.sum(axis=0)
+    gaps = []
+    sums = []
+    chosen = []
+    right = []
     for _ in range(families):
         twins = [matched(rig, step, rng) for rig, step in zip(rigs, STEPS, strict=True)]
         found = apart(twins)
@@ -113,7 +117,8 @@ def family(factor: float = 1.0) -> tuple[list[Candidate], PlantGaps]:
 
 def test_it_is_consistent_in_itself() -> None:
     twins, found = family()
-    gaps, known = found.matrix, family_uncertainty(twins, found, TERMS)
+    gaps = found.matrix
+    known = family_uncertainty(twins, found, TERMS)
     for matrix in (known.nu_gap_low, known.nu_gap_high):
         np.testing.assert_array_equal(matrix, matrix.T)
         assert np.all(np.diag(matrix) == 0)

@@ -146,7 +146,8 @@ def test_recorded_control_is_reproduced(recorded_hour, number):
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50))
 def test_each_tick_is_one_step_of_the_pid(signals):
-    loop, pid = Loop(Peltier, state=PidState()), Controller(GAINS)
+    loop = Loop(Peltier, state=PidState())
+    pid = Controller(GAINS)
     for k, (reference, temperature) in enumerate(signals):
         sample = tick(loop, k, reference, temperature)
         assert sample.input == loop.input == pid.step(reference, temperature)[0]
@@ -281,7 +282,8 @@ def test_an_index_is_a_place_on_the_grid(calls, late):
     """A timer calls at most once per period and never early; the grid is that of its least late call."""
     loop = Loop(Peltier, max_age=1.5)
     tick(loop, late, 30.0, 29.0)
-    due, last = 0, 0
+    due = 0
+    last = 0
     for skip, late_now, measured in calls:
         due += skip
         sample = tick(loop, due + late_now, 30.0, 29.0 if measured else None)
@@ -338,9 +340,11 @@ def test_a_proportional_law_keeps_nothing_of_a_limit_or_a_stop():
 
 def test_two_loops_are_two_pids_on_one_grid():
     """Through a gap, a held and a limited drive."""
-    both, alone = Loop(TCLabBoth), [Loop(TCLab), Loop(TCLab)]
+    both = Loop(TCLabBoth)
+    alone = [Loop(TCLab), Loop(TCLab)]
     for k in (*range(30), *range(35, 60)):
-        references, readings = (50.0, 35.0 + k % 7), (25.0 + 0.3 * k, 30.0 - 0.1 * k)
+        references = (50.0, 35.0 + k % 7)
+        readings = (25.0 + 0.3 * k, 30.0 - 0.1 * k)
         both.held = alone[0].held = alone[1].held = 10 <= k < 13
         both.limits = [100.0, 12.0]
         alone[1].limits = [12.0]
@@ -370,7 +374,8 @@ def test_a_plant_with_another_law_is_not_controlled():
 
 def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading():
     """Loop 1 continues without a bump when its sensor is replaced, and when it is back."""
-    loop, other = Loop(TCLabBoth), Loop(TCLabBoth)
+    loop = Loop(TCLabBoth)
+    other = Loop(TCLabBoth)
     steps = []
     for k in range(60):
         lies = 20 <= k < 40

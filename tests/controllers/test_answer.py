@@ -122,8 +122,11 @@ def test_leaving_the_safe_range_or_without_one_the_span_fails(
 def plain(pid: FilteredPid, references: np.ndarray, load: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The lag of these tests under a PI, step by step, from rest at the first set-point; its drive takes -10
     to 10 V, whatever the law's limits. Outputs, and commands as the plant receives them, without the load."""
-    kept, gain = math.exp(-1.0 / LAG["lag"]), LAG["gain"]
-    y, integral, rows = references[0], references[0] / gain, []
+    kept = math.exp(-1.0 / LAG["lag"])
+    gain = LAG["gain"]
+    y = references[0]
+    integral = references[0] / gain
+    rows = []
     for r in references:
         wanted = pid.proportional * (r - y) + integral
         given = min(max(wanted, pid.low), pid.high)
@@ -222,12 +225,15 @@ def test_overshoot_and_settling_are_those_of_python_control() -> None:
 def test_two_levels_cycle_as_a_first_order_does() -> None:
     """The period of a relay with hysteresis around a first order, in closed form; sampling adds a sample at
     each switch."""
-    period, slow = 0.1, 40.0
+    period = 0.1
+    slow = 40.0
     law = TwoLevel(0.0, 5.0, 0.4, 0.4, period=period)
     member = TriedTwin("slow", LAG.replace(lag=slow), ("lag",), np.array([[1e-6]]))
     level = np.full((3000, 1), 3.0)
     answer = tried([member], law, references=level, holding=Holding(None, period, 600), draws=25)
-    low, high, top = 2.6, 3.4, 10.0
+    low = 2.6
+    high = 3.4
+    top = 10.0
     exact = slow * (math.log((top - low) / (top - high)) + math.log(high / low))
     assert answer.decision is ControllerDecision.SAFE
     assert answer.courses.figures[CourseFigure("cycle", "", "s")].median == pytest.approx(

@@ -44,7 +44,9 @@ def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
     gain, _, _ = control.dlqr(a, b, c.T @ np.array(REGULATOR["Qs"]) @ c, np.array(REGULATOR["Rs"]))
     np.testing.assert_allclose(law.C[:, :2], -gain, atol=1e-9)
     # its own model under an output disturbance: the observer finds it, and the outputs reach the set-points
-    x, z, r = np.zeros(2), np.zeros(4), np.array([[53.0, 41.0]])
+    x = np.zeros(2)
+    z = np.zeros(4)
+    r = np.array([[53.0, 41.0]])
     for _ in range(2000):
         y = c @ x + [50.0, 45.0] + np.array([1.5, -0.7])
         u, z = commands_of(law.code, z, r, y[None])

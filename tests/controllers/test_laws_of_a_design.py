@@ -36,7 +36,9 @@ LEVEL = np.array([48.0, 42.0])
 
 def rates(x: FloatArray, u: FloatArray, room: float) -> FloatArray:
     """K/s of two heaters, a plate and two sensors under powers in %."""
-    heaters, plate, sensors = x[:2], x[2], x[3:5]
+    heaters = x[:2]
+    plate = x[2]
+    sensors = x[3:5]
     lost = 0.0048 * (heaters - room) + 2.5e-11 * (heaters**4 - room**4)
     across = 0.0022 * (heaters[::-1] - heaters) + 0.0011 * (plate - heaters)
     heated = np.array([0.0050, 0.0033]) * u
@@ -46,7 +48,8 @@ def rates(x: FloatArray, u: FloatArray, room: float) -> FloatArray:
 
 def stepped(x: FloatArray, u: FloatArray, room: float = 296.0) -> FloatArray:
     """The kit one second later; behind its five temperatures are the commands on their way."""
-    at, waiting = x[:5], x[5:].reshape(DELAY, 2)
+    at = x[:5]
+    waiting = x[5:].reshape(DELAY, 2)
     acting = waiting[0]
     one = rates(at, acting, room)
     two = rates(at + 0.5 * one, acting, room)
@@ -57,7 +60,8 @@ def held(level: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State and commands of the kit at rest at these readings, °C."""
     u = np.array([30.0, 30.0])
     for _ in range(30):
-        found, slopes = _rest(u), np.zeros((2, 2))
+        found = _rest(u)
+        slopes = np.zeros((2, 2))
         for j in range(2):
             slopes[:, j] = _rest(u + np.eye(2)[j])[3:5] - found[3:5]
         u = u + np.linalg.solve(slopes, level + 273.15 - found[3:5])
@@ -102,11 +106,13 @@ def designs(number: int) -> list[Design]:
     gain = np.array([_rest(u0 + d)[3:5] - _rest(u0 - d)[3:5] for d in 0.5 * np.eye(2)]).T
     sorted_: dict[bool, list[Design]] = {True: [], False: []}
     while min(map(len, sorted_.values())) < number // 2:
-        angle, stretch = rng.uniform(-1.0, 1.0) * np.pi * rng.integers(0, 2), np.exp(rng.normal(0.0, 0.3, 2))
+        angle = rng.uniform(-1.0, 1.0) * np.pi * rng.integers(0, 2)
+        stretch = np.exp(rng.normal(0.0, 0.3, 2))
         turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         a = np.diag(np.exp(-1.0 / rng.uniform(90.0, 250.0, 2)))
         b = (np.eye(2) - a) @ gain @ turned @ np.diag(stretch)
-        model, seen = block_diag(a, np.eye(2)), np.hstack([np.eye(2), np.eye(2)])
+        model = block_diag(a, np.eye(2))
+        seen = np.hstack([np.eye(2), np.eye(2)])
         noise = np.diag(10.0 ** rng.uniform(-3.0, -1.0, 4))
         p = solve_discrete_are(model.T, seen.T, noise, np.eye(2))
         k = model @ p @ seen.T @ np.linalg.inv(seen @ p @ seen.T + np.eye(2))
@@ -124,7 +130,8 @@ def designs(number: int) -> list[Design]:
 
 def true_eigenvalue(law: LinearLaw, at: FloatArray) -> float:
     """Of one second of the whole loop, by differences around its rest."""
-    code, n = law.code, at.size
+    code = law.code
+    n = at.size
 
     def loop(both: FloatArray) -> FloatArray:
         u, z = commands_of(code, both[n:], LEVEL[None], both[None, 3:5] - 273.15)

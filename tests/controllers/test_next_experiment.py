@@ -35,7 +35,10 @@ from twinmatch.dynamics import (
 )
 from twinmatch.signals import FloatArray
 
-ROOM, PERIOD, STEPS, NOISE = 22.2, 6.0, 150, 0.5
+ROOM = 22.2
+PERIOD = 6.0
+STEPS = 150
+NOISE = 0.5
 """°C, s, samples, °C: the published information divides by 0.25, the sensor's deviation, not its square."""
 NOMINAL = np.array([0.0417051733576387, 0.009440714239773074, 0.1659093525658045, 5.8357556063605465])
 PUBLISHED = np.array(
@@ -86,7 +89,8 @@ def readings(values: FloatArray, u: FloatArray) -> FloatArray:
     ua, ub, body, probe = values
     slopes = np.array([[-(ua + ub) * body, ub * body], [ub * probe, -ub * probe]])
     step = np.linalg.inv(np.eye(2) - PERIOD * slopes)
-    at, seen = np.zeros(2), [0.0]
+    at = np.zeros(2)
+    seen = [0.0]
     for each in u:
         at = step @ (at + PERIOD * np.array([0.00016 * 200.0 * each * body, 0.0]))
         seen.append(at[1])
@@ -110,7 +114,8 @@ def lab(covariance: FloatArray | None, free: Sequence[str] = FREE, **values: flo
 
 
 def terms(high: float = 85.0, size: int = STEPS) -> ExperimentTerms:
-    level, ends = np.array([ROOM]), np.array([[0.0], [high]])
+    level = np.array([ROOM])
+    ends = np.array([[0.0], [high]])
     return ExperimentTerms(Holding(None, PERIOD, 100), level, size, np.array([[0.0], [100.0]]), ends, 0.0)
 
 
@@ -136,7 +141,8 @@ def test_the_sine_test_tells_as_much_as_was_published() -> None:
 
 def test_tangents_are_those_of_the_simulation() -> None:
     """Beside central differences, whose error is a few millionths here."""
-    twin, start = lab(None, ALL), np.full(2, ROOM)
+    twin = lab(None, ALL)
+    start = np.full(2, ROOM)
 
     def read(name: str, way: float) -> FloatArray:
         one = twin.parameters.replace(**{name: twin.parameters[name] * (1.0 + way)})
@@ -172,8 +178,11 @@ def test_it_tells_more_than_a_step_and_keeps_to_the_range(found: NextExperiment)
 def test_the_spread_after_it_is_as_predicted(found: NextExperiment) -> None:
     """Twelve labs drawn from the prior, recorded over the course with noise and fitted again, prior included:
     the RMS of 36 errors scatters by 12 %; the courses bend, so a factor of 2 is allowed."""
-    rng, twin, rows = np.random.default_rng(4), lab(known(0.1)), found.course.rows
-    centre, errors = NOMINAL[[0, 2, 3]], []
+    rng = np.random.default_rng(4)
+    twin = lab(known(0.1))
+    rows = found.course.rows
+    centre = NOMINAL[[0, 2, 3]]
+    errors = []
 
     def read(values: FloatArray) -> FloatArray:
         one = twin.parameters.replace(**dict(zip(FREE, values.tolist(), strict=True)))
@@ -201,7 +210,8 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
         assert curve is not None
         assert (np.diff(curve) >= -1e-9).all()
         assert curve[-1] > 0.0
-    less_known, better_known = lab(known(0.2)), lab(known(0.1))
+    less_known = lab(known(0.2))
+    better_known = lab(known(0.1))
     ends = []
     for one in (less_known, better_known):
         search = _Search([one], goal_named("parameters", [one], terms()), terms(1e3))

@@ -51,7 +51,9 @@ def test_slopes_are_those_of_differences(aim: str) -> None:
 def load_cost(truth: Parameters, kp: float, ki: float) -> float:
     """Mean squared error of a first order under a PI after a load of 2 V, by the recursion itself."""
     pole = np.exp(-1.0 / truth["lag"])
-    y, integral, total = 0.0, 0.0, 0.0
+    y = 0.0
+    integral = 0.0
+    total = 0.0
     for _ in range(120):
         total += y * y
         v = -kp * y + integral

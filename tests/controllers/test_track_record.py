@@ -51,7 +51,8 @@ def hour(noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def record(told: float, noise: float) -> list[LawComparison]:
     """Three sessions with this noise, predicted by a twin that counts on another."""
     twin, asked = question(told)
-    answer, seen = try_controller([twin], asked), np.ones(len(LEVELS))
+    answer = try_controller([twin], asked)
+    seen = np.ones(len(LEVELS))
     hours = [hour(noise, seed)[0] for seed in (1, 2, 3)]
     parts = [compared(answer, readings, seen, np.array([noise])) for readings in hours]
     return [replace(comparison(k), **part) for k, part in enumerate(parts)]
@@ -100,7 +101,8 @@ def test_with_the_widened_band_nine_in_ten_would_have_been_inside(off: list[floa
 
 
 def test_each_side_of_a_band_has_its_own_width() -> None:
-    above, below = comparison(1, measured=9.0), comparison(2, measured=4.5)
+    above = comparison(1, measured=9.0)
+    below = comparison(2, measured=4.5)
     assert (above.off, above.inside) == (4.0, False)
     assert (below.off, below.inside) == (0.25, True)
     assert comparison(3, low=5.0, high=5.0, measured=5.1).off == math.inf
@@ -111,7 +113,8 @@ def test_each_side_of_a_band_has_its_own_width() -> None:
 
 def test_a_loop_whose_errors_exceed_twice_the_steps_is_not_stable() -> None:
     twin, asked = question()
-    answer, seen = try_controller([twin], asked), np.ones(len(LEVELS))
+    answer = try_controller([twin], asked)
+    seen = np.ones(len(LEVELS))
     time = np.arange(len(LEVELS))[:, None]
     for rate, stable in ((0.004, True), (0.0098, False)):
         readings = LEVELS + 0.1 * np.exp(rate * time) * np.sin(time / 9.0)
@@ -143,7 +146,8 @@ def test_what_a_twin_does_not_explain_is_in_the_bands_of_the_readings() -> None:
         told = replace(twin, unexplained=drift() if known else None)
         answer = try_controller([told], asked)
         for _ in range(4):
-            held, shaken = Holding(GAINS, 1.0, 240).linear(TRUE, [50.0]), rng.normal(0.0, NOISE, LEVELS.shape)
+            held = Holding(GAINS, 1.0, 240).linear(TRUE, [50.0])
+            shaken = rng.normal(0.0, NOISE, LEVELS.shape)
             run = run_law(TRUE, LAW, LEVELS, held, before=LEVELS[0], noise=shaken, slow=drift())
             came = compared(answer, run.outputs + shaken, np.ones(len(LEVELS)), np.array([NOISE]))
             found.append(came["share"])

@@ -38,7 +38,8 @@ def sampled(system: control.StateSpace, period: float, delay: int = 0) -> Linear
     """A continuous plant, sampled, with a whole number of samples of dead time at its input."""
     a, b, c, _, _ = cont2discrete((system.A, system.B, system.C, system.D), period)
     n = len(a)
-    whole, entry = np.zeros((n + delay, n + delay)), np.zeros((n + delay, 1))
+    whole = np.zeros((n + delay, n + delay))
+    entry = np.zeros((n + delay, 1))
     whole[:n, :n] = a
     if delay:
         whole[:n, n] = b[:, 0]
@@ -57,7 +58,9 @@ def test_margins_that_skogestad_published(
 ) -> None:
     """Skogestad, Simple analytic rules for model reduction and PID controller tuning, J. Process Control 13
     (2003), table 1: SIMC settings with τc = θ, for a first order with dead time and for k·e^(−θs)/s."""
-    dead, period = 60, 1.0 / 60.0  # in units of θ
+    # in units of θ
+    dead = 60
+    period = 1.0 / 60.0
     lag = 4.0
     plant = control.tf([1.0], [1.0, 0.0] if integrating else [lag, 1.0])
     gain, time = (0.5, 8.0) if integrating else (lag / 2.0, lag)
@@ -202,7 +205,8 @@ def test_pids_side_by_side_are_each_for_itself_at_any_period() -> None:
 
 def test_the_filter_is_the_sampled_transfer_function() -> None:
     """Kp + Kd·s/(1 + Tf·s), s ← (1 − z⁻¹)/Ts, computed by SciPy; the set-point with its weights."""
-    ts, tf = 0.5, 3.0
+    ts = 0.5
+    tf = 3.0
     pid = FilteredPid(proportional=2.0, derivative=7.0, filter=tf, weight=0.3, derivative_weight=0.1, **WIDE)
     r, y = np.random.default_rng(4).normal(size=(2, 80))
     u, _ = commands_of(pid_law([pid], ts).code, np.zeros(1), r[:, None], y[:, None])
@@ -238,9 +242,11 @@ def test_what_it_refuses() -> None:
 def drawn_loops(number: int) -> list[WholeLoop]:
     """Stable loops of one and two channels, drawn: plants that fall over or oscillate among them, gains of
     either sign, with and without integrators."""
-    rng, found = np.random.default_rng(11), []
+    rng = np.random.default_rng(11)
+    found = []
     while len(found) < number:
-        n, m = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+        n = int(rng.integers(1, 4))
+        m = int(rng.integers(1, 3))
         a = rng.normal(size=(n, n))
         a *= rng.uniform(0.5, 1.1) / np.abs(np.linalg.eigvals(a)).max()
         plant = Linear(a, rng.normal(size=(n, m)), rng.normal(size=(m, n)), 1.0, REST)
@@ -257,7 +263,8 @@ def drawn_loops(number: int) -> list[WholeLoop]:
 
 def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
     """The largest eigenvalue with a command that acts so many times as strongly, one after the other."""
-    plant, law = loop.plant, loop.law
+    plant = loop.plant
+    law = loop.law
     direct = law.D @ plant.C
     acting = np.tile(plant.B, (factors.size, 1, 1))
     acting[:, :, channel] *= factors[:, None]
@@ -272,7 +279,9 @@ def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
 def test_the_gain_margins_are_those_that_a_search_finds() -> None:
     """Eigenvalues for 120 gains of each channel, up to 1000 times and down to a thousandth: all stable
     between the margins, unstable just beyond; every way to be lost is among the drawn loops."""
-    factors, near, lost = np.geomspace(1e-3, 1e3, 120), 1e-4, set()
+    factors = np.geomspace(1e-3, 1e3, 120)
+    near = 1e-4
+    lost = set()
     for loop in drawn_loops(40):
         for channel, found in enumerate(loop.margins()):
             between = factors[
@@ -313,12 +322,14 @@ def test_a_loop_that_is_lost_without_swinging(
 
 def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() -> None:
     """Poles that are all at 1, rounded apart by eigenvalues: k·h²/2·(z + 1)/(z − 1)², for two values of k."""
-    h, gains = 0.05, (10.0, 10.5)
+    h = 0.05
+    gains = (10.0, 10.5)
     step = np.array([[1.0, h], [0.0, 1.0]])
     plants = [Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST) for k in gains]
     exact = [control.tf([k * h * h / 2] * 2, [1.0, -2.0, 1.0], h) for k in gains]
     law = pid_law([FilteredPid(proportional=3, integral=3, derivative=1.2, filter=0.1, **WIDE)], h)
-    spaces, controller = [StateSpace.of(each) for each in plants], StateSpace.of(law)
+    spaces = [StateSpace.of(each) for each in plants]
+    controller = StateSpace.of(law)
     assert matrix_nu_gap(*spaces) == pytest.approx(nu_gap(*exact), abs=1e-6)
     for unit in (1.0, 50.0):  # the search for units tries them far apart
         found = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))

@@ -225,7 +225,8 @@ def test_what_is_shown_is_what_comes_out(shown: Any, run: Any) -> None:
     """Words and structure; last digits may differ from processor to processor."""
     for one, other in zip(shown.cells, run.cells[1:-1], strict=True):
         if one.cell_type == "code":
-            before, after = outputs(one, "stdout").split(), outputs(other, "stdout").split()
+            before = outputs(one, "stdout").split()
+            after = outputs(other, "stdout").split()
             assert len(before) == len(after)
             words = [w for w in before if w.isalpha()]
             assert words == [w for w in after if w.isalpha()]

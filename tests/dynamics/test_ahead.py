@@ -46,8 +46,12 @@ def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     code, vector, at, first, usual, law, memory, references, noise, strays, period, steps
 ):
     """Readings and commands of a loop whose states stray at every sample."""
-    work, u = work_for(code, vector), np.empty(1)
-    z, after, y, both = memory.copy(), memory.copy(), np.empty(1), np.empty((2, len(references)))
+    work = work_for(code, vector)
+    u = np.empty(1)
+    z = memory.copy()
+    after = memory.copy()
+    y = np.empty(1)
+    both = np.empty((2, len(references)))
     tick(code, at, first, usual, work, period, steps)
     for k in range(len(references)):
         at += strays[k]
@@ -63,10 +67,13 @@ def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
 def drawn_at_random(case: Case, inputs: Array | None) -> Array:
     """Readings and commands of many runs of the nonlinear loop, shape (2, runs, N)."""
     base, unsure, joint, drift, first, gains, reference = case
-    rng, n, size = np.random.default_rng(11), len(base.model.states), reference.size
+    rng = np.random.default_rng(11)
+    n = len(base.model.states)
+    size = reference.size
     law, memory = (gains.code, np.array(first["controller"])) if inputs is None else (NO_LAW, np.zeros(0))
     references = (reference if inputs is None else inputs)[:, None]
-    spread, found = np.asarray(drift) * math.sqrt(gains.period), np.empty((2, RUNS, size))
+    spread = np.asarray(drift) * math.sqrt(gains.period)
+    found = np.empty((2, RUNS, size))
     for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
         plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
         strays = spread * rng.standard_normal((size, n))
@@ -104,7 +111,8 @@ def peltier_case(model: Any) -> Case:
 
 
 def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
-    base, unsure = MOTOR.parameters(), ["k", "j", "dry"]
+    base = MOTOR.parameters()
+    unsure = ["k", "j", "dry"]
     joint = scattered(unsure, base, [0.3], share)
     rest = rest_at(base, 100.0)
     first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
@@ -113,10 +121,12 @@ def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
 
 
 def tank_case() -> Case:
-    base, unsure = Tank.model().parameters(), ["hole", "area"]
+    base = Tank.model().parameters()
+    unsure = ["hole", "area"]
     rest = rest_at(base, 1.2)
     first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
-    gains, joint = law_of(Tank, 1.0), scattered(unsure, base, [0.03], 0.01)
+    gains = law_of(Tank, 1.0)
+    joint = scattered(unsure, base, [0.03], 0.01)
     return base, unsure, joint, np.array([0.03]), first, gains, np.repeat([1.2, 1.5], [20, 60])
 
 
@@ -151,7 +161,8 @@ def test_the_variances_are_those_of_many_runs(case: Any) -> None:
 
 
 def test_they_are_for_inputs_that_are_known() -> None:
-    case, inputs = peltier_case(MASSIVE), np.repeat([60.0, -20.0, 90.0], 50)
+    case = peltier_case(MASSIVE)
+    inputs = np.repeat([60.0, -20.0, 90.0], 50)
     found = foretold(case, inputs)
     agree(drawn_at_random(case, inputs)[0], found.outputs[:, 0], found.output_variances[:, 0])
     np.testing.assert_array_equal(found.input_variances[:, 0], 0.0)
@@ -174,7 +185,8 @@ def test_they_are_where_the_controller_is_on_its_limit() -> None:
 @pytest.mark.parametrize("structure", list(Peltier.structures))
 def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
     rig = Peltier.model(structure).parameters()
-    states, memory = begin(rig, 30.0), PidState(20.0, 1.0)
+    states = begin(rig, 30.0)
+    memory = PidState(20.0, 1.0)
     reference = np.repeat([35.0, 60.0, 40.0], 30)
     n = states.size
     found = forecast_loop(
@@ -192,7 +204,8 @@ def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
 
 
 def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
-    motor, states = MOTOR.parameters(), np.array([100.0])
+    motor = MOTOR.parameters()
+    states = np.array([100.0])
     loads = np.linspace(0.0, 0.05, 61)[:, None]
     given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "law": Motor.loop}
     found = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
@@ -211,8 +224,11 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
 def test_a_linear_loop_is_its_matrices(swift: float) -> None:
     """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample; what it
     moves in a sample is wrong by `swift` of it."""
-    lag, law = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
-    noise, drift, first = 0.05, 0.03, 0.4
+    lag = Lag.model().parameters(gain=1.0, lag=4.0)
+    law = PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
+    noise = 0.05
+    drift = 0.03
+    first = 0.4
     found = forecast_loop(
         lag, states=np.zeros(1), covariance=[[first**2]], input=0.0, drift=[drift], reference=np.ones(400),
         law=law, noise=noise, swift=swift,
@@ -244,7 +260,8 @@ def test_a_linear_loop_is_its_matrices(swift: float) -> None:
 def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
     level: float, size: int, scale: float, closed: bool, seed: int
 ) -> None:
-    rig, unsure = MASSIVE.parameters(), ["conductance", "sink_convection"]
+    rig = MASSIVE.parameters()
+    unsure = ["conductance", "sink_convection"]
     signal = {"reference": np.full(size, level)} if closed else {"inputs": np.full(size, level)}
     root = scale * np.random.default_rng(seed).standard_normal((4, 4))
 
@@ -257,7 +274,8 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
     sure = said(np.zeros((4, 4)), 0.0, 0.0)
     np.testing.assert_array_equal(sure.output_variances[:, 0], 0.0)
     np.testing.assert_array_equal(sure.input_variances[:, 0], 0.0)
-    less, more = said(root @ root.T, 0.0, 0.0), said(root @ root.T + 0.1 * np.eye(4), 0.01, 0.1)
+    less = said(root @ root.T, 0.0, 0.0)
+    more = said(root @ root.T + 0.1 * np.eye(4), 0.01, 0.1)
     for one, other in (
         (less.output_variances[:, 0], more.output_variances[:, 0]),
         (less.input_variances[:, 0], more.input_variances[:, 0]),
@@ -299,7 +317,9 @@ def test_what_cannot_be_forecast_is_refused() -> None:
 
 def test_nothing_that_is_given_is_changed() -> None:
     rig = MASSIVE.parameters()
-    states, covariance, reference = begin(rig, 30.0), np.eye(2), np.full(9, 40.0)
+    states = begin(rig, 30.0)
+    covariance = np.eye(2)
+    reference = np.full(9, 40.0)
     forecast_loop(rig, states=states, covariance=covariance, input=9.0, drift=[0.1, 0.1], reference=reference)
     np.testing.assert_array_equal(states, begin(rig, 30.0))
     np.testing.assert_array_equal(covariance, np.eye(2))

@@ -71,16 +71,20 @@ def test_an_undamped_step_solves_the_linear_problem_in_its_box(
     entries: list[float], right: list[float]
 ) -> None:
     """Against scipy's active-set solver."""
-    matrix, target = np.array(entries[:18]).reshape(6, 3), np.array(right)
+    matrix = np.array(entries[:18]).reshape(6, 3)
+    target = np.array(right)
     matrix[:3] += 2.0 * np.eye(3)
     if np.linalg.cond(matrix) > 1e3:
         return
-    start, lower, upper = np.full(3, 0.1), np.full(3, 0.0), np.array([1.0, 0.5, 2.0])
+    start = np.full(3, 0.1)
+    lower = np.full(3, 0.0)
+    upper = np.array([1.0, 0.5, 2.0])
     residuals = matrix @ start - target
     step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, start, lower, upper, 1e-12)
     end = start + step
     assert np.all((end >= lower - 1e-12) & (end <= upper + 1e-12))
-    before, after = residuals @ residuals, np.sum(np.square(matrix @ end - target))
+    before = residuals @ residuals
+    after = np.sum(np.square(matrix @ end - target))
     assert promised == pytest.approx(before - after, abs=1e-7 * (1 + before))
     assert promised >= -1e-9
     best = 2 * lsq_linear(matrix, target, (lower, upper), method="bvls", tol=1e-12).cost
@@ -100,7 +104,8 @@ def test_parameters_that_trade_off_do_not_leave_their_box(seed: int) -> None:
     n = 7
     matrix = rng.normal(size=(30, n)) @ np.diag(np.logspace(0, -5, n)) @ rng.normal(size=(n, n))
     residuals = 10.0 * rng.normal(size=30)
-    lower, upper = -rng.uniform(0.0, 2.0, n), rng.uniform(0.5, 50.0, n)
+    lower = -rng.uniform(0.0, 2.0, n)
+    upper = rng.uniform(0.5, 50.0, n)
     step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, np.zeros(n), lower, upper, 1e-12)
     theirs = lsq_linear(matrix, -residuals, (lower, upper), method="bvls", tol=1e-14, max_iter=1000)
     best = residuals @ residuals - 2.0 * theirs.cost
@@ -150,7 +155,8 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
 
 
 def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:
-    start, bounds = np.array([0.5, 0.5]), np.array([[0.0, 1.0], [0.2, 2.0]])
+    start = np.array([0.5, 0.5])
+    bounds = np.array([[0.0, 1.0], [0.2, 2.0]])
     kinds = [
         [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
         for low, high in (bounds.T, bounds.T.copy())

@@ -56,7 +56,8 @@ RUN = simulate_driven(TRUTH, AMPS, states=begin(TRUTH, 4.0), period=1.0)
 
 def test_the_reading_moves_with_the_drive_and_begins_where_it_was_measured() -> None:
     """By R·I in the sample of the step, and by no more than the pair moves in a second beside it."""
-    moved, steps = np.diff(RUN.output), np.diff(AMPS)
+    moved = np.diff(RUN.output)
+    steps = np.diff(AMPS)
     np.testing.assert_allclose(moved[steps != 0.0], 0.002 * steps[steps != 0.0], atol=0.004)
     assert np.abs(moved[steps == 0.0]).max() < 0.004
     loaded = begin(TRUTH, 3.9, input=-30.0)
@@ -94,7 +95,8 @@ def test_what_is_held_is_what_is_forecast_and_observed() -> None:
 
 def test_its_linear_model_answers_a_command_with_the_next_reading() -> None:
     linear = linearised_at(TRUTH, begin(TRUTH, 4.0), 0.0, 1.0)
-    x, y = np.zeros(len(linear.A)), []
+    x = np.zeros(len(linear.A))
+    y = []
     for _ in range(40):
         y.append(float((linear.C @ x)[0]))
         x = linear.A @ x + linear.B @ np.array([-30.0])
@@ -112,7 +114,8 @@ def test_a_controller_that_reads_what_it_commands_is_refused() -> None:
 
 def test_health_names_a_contactor_that_opens_as_a_lost_drive() -> None:
     """Within a minute, although most of the effect comes at once, and moves nothing from sample to sample."""
-    wanted, opens = np.resize(np.repeat([0.0, -30.0, 0.0, 20.0, 0.0, -10.0], 120), 960), 900
+    wanted = np.resize(np.repeat([0.0, -30.0, 0.0, 20.0, 0.0, -10.0], 120), 960)
+    opens = 900
     amps = np.where(np.arange(wanted.size) < opens, wanted, 0.0)
     volts = simulate_driven(TRUTH, amps, states=begin(TRUTH, 4.0), period=1.0).output
     volts = np.round(volts + np.random.default_rng(7).normal(0.0, 0.001, volts.size), 4)

@@ -55,10 +55,12 @@ def motor_run(p: Parameters, samples: int = 240, seed: int | None = 5) -> Window
 def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
     """By parameters and by starts, in the loop and driven, through limiters and friction."""
     if model is MOTOR:
-        base, starts = MOTOR.parameters(), ("omega",)
+        base = MOTOR.parameters()
+        starts = ("omega",)
         window = motor_run(base)
     else:
-        base, starts = RICHEST.parameters(current_limit=3.0), ("sink",)
+        base = RICHEST.parameters(current_limit=3.0)
+        starts = ("sink",)
         reference = np.repeat([30.0, 75.0, 40.0], 80)
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
@@ -72,7 +74,8 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
         scale = base.model.declared[name].scale if j < len(free) else 1.0
         step = np.zeros(values.size)
         step[j] = 1e-6 * scale
-        up, down = experiment.simulate(values + step), experiment.simulate(values - step)
+        up = experiment.simulate(values + step)
+        down = experiment.simulate(values - step)
         for row, (a, b) in enumerate(((up.output, down.output), (up.input, down.input))):
             differences = (a - b) / (2 * step[j])
             size = np.max(np.abs(exact.by[row, :, j])) + 1e-6
@@ -111,15 +114,18 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
 def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     """Sums over all samples at once, against the response to the noise of each sample by differences."""
     if plant == "motor":
-        base, law = MOTOR.parameters(most=3.0), Motor.loop
+        base = MOTOR.parameters(most=3.0)
+        law = Motor.loop
         window = motor_run(base, 90, None)
     elif plant == "tank":
-        base, law = Tank.model().parameters(), Tank.loop
+        base = Tank.model().parameters()
+        law = Tank.loop
         reference = np.repeat([1.2, 0.6], 45)
         run = simulate_closed_loop(base, reference, states=begin(base, 1.0))
         window = Window(reference, run.output, run.input)
     else:
-        base, law = Peltier.model("sink with mass").parameters(), Peltier.loop
+        base = Peltier.model("sink with mass").parameters()
+        law = Peltier.loop
         reference = np.repeat([30.0, 36.0], 45)
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
@@ -131,7 +137,8 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     weighed = found.by * np.array(weights)[:, None, None]
     sums, mean_square = noise_scores(experiment, found, weighed, np.array([weights]))
 
-    size, bump = len(found.outputs), 1e-4
+    size = len(found.outputs)
+    bump = 1e-4
     load = window.disturbances[2:]
 
     def response(noise: np.ndarray, first: float) -> np.ndarray:
@@ -150,7 +157,8 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         )  # fmt: skip
         return np.stack([run.output, run.input])
 
-    expected, squares = np.zeros_like(sums), 0.0
+    expected = np.zeros_like(sums)
+    squares = 0.0
     for k in range(size):
         noise = np.zeros(size)
         noise[k] = bump
@@ -177,7 +185,8 @@ def test_disturbances_act_and_are_checked() -> None:
 
 
 def test_what_cannot_be_run_is_refused() -> None:
-    p, still = MOTOR.parameters(), np.zeros(1)
+    p = MOTOR.parameters()
+    still = np.zeros(1)
     short = Sensor().realise(2, 0.05, 1)
     for message, run in (
         ("reference is nan at sample 1", lambda: simulate_closed_loop(p, [40.0, math.nan], states=still)),

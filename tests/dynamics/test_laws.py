@@ -45,8 +45,11 @@ LINEAR = LinearLaw(
 @compiled
 def step_and_slopes(law, z, r, y, tuned):  # type: ignore[no-untyped-def]
     """Commands, next state, and both kinds of derivatives."""
-    m, q = int(law[2]), z.size
-    u, after, slopes = np.zeros(m), np.zeros(q), np.zeros((m + q, q + y.size))
+    m = int(law[2])
+    q = z.size
+    u = np.zeros(m)
+    after = np.zeros(q)
+    slopes = np.zeros((m + q, q + y.size))
     of_gains = np.zeros((m + q, tuned.size))
     references = r.reshape((1, r.size))
     law_step(law, z, references, 0, y, u, after)
@@ -61,12 +64,15 @@ def lqg(folder_name: str = "tclab_2x2") -> LinearLaw:
     a, b, c, bd, cd, k, u0, y0, qs, rs = (
         np.array(read[name]) for name in ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
     )
-    n, nd, whole = len(a), bd.shape[1], c.T @ qs @ c
+    n = len(a)
+    nd = bd.shape[1]
+    whole = c.T @ qs @ c
     cost = solve_discrete_are(a, b, whole, rs)
     feedback = np.linalg.solve(b.T @ cost @ b + rs, b.T @ cost @ a)
     target = np.linalg.inv(np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), b.shape[1]))]]))
     target = target @ np.block([[bd, np.zeros((n, len(c)))], [-cd, np.eye(len(c))]])
-    of_d, of_r = target[:, :nd], target[:, nd:]
+    of_d = target[:, :nd]
+    of_r = target[:, nd:]
     joint = np.block([[a, bd], [np.zeros((nd, n)), np.eye(nd)]])
     seen = np.hstack([c, cd])
     steering = np.vstack([b, np.zeros((nd, b.shape[1]))])
@@ -89,7 +95,8 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     law = lqg()
     found, _ = commands_of(law.code, np.zeros(4), r, y)
     assert np.max(np.abs(found - u)) < 7e-4
-    controller, again = Controller(law), np.empty_like(u)
+    controller = Controller(law)
+    again = np.empty_like(u)
     for k in range(len(u)):
         again[k] = law.C @ controller.state + law.E @ r[k] + law.offset
         controller.follow(r[k], y[k], u[k])
@@ -111,9 +118,11 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
         np.array(data.draw(st.lists(numbers, min_size=n, max_size=n)))
         for n in (law.n_states, law.n_outputs, law.n_references)
     )
-    compiled_law, m = law.code, law.n_inputs
+    compiled_law = law.code
+    m = law.n_inputs
     tuned = np.array(sorted(law.GAINS.values()))
-    low, high = compiled_law[3 : 3 + m], compiled_law[3 + m : 3 + 2 * m]
+    low = compiled_law[3 : 3 + m]
+    high = compiled_law[3 + m : 3 + 2 * m]
     u, after, slopes, of_gains = step_and_slopes(compiled_law, z, r, y, tuned)
     if np.min(np.abs(np.concatenate([u - low, u - high]))) < 1e-4 and not ((u == low) | (u == high)).all():
         return  # at the edge of a limit the derivative is one-sided
@@ -123,11 +132,13 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
 
     at = np.concatenate([z, y, compiled_law[tuned]])
     whole = compiled_law.copy()
-    q, p = z.size, y.size
+    q = z.size
+    p = y.size
     for j in range(at.size):
         ends = []
         for sign in (1.0, -1.0):
-            moved, numbers_there = at.copy(), whole.copy()
+            moved = at.copy()
+            numbers_there = whole.copy()
             moved[j] += sign * 1e-6
             numbers_there[tuned] = moved[q + p :]
             ends.append(result(moved[:q], moved[q : q + p], numbers_there))
@@ -141,8 +152,11 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
 
 
 def test_two_levels_keep_their_limits_and_dwell_times() -> None:
-    law, y = TWO, []
-    controller, x, log = Controller(law), 20.0, []
+    law = TWO
+    y = []
+    controller = Controller(law)
+    x = 20.0
+    log = []
     for _ in range(400):
         u = float(controller.step(25.0, x)[0])
         log.append(u)
@@ -156,7 +170,8 @@ def test_two_levels_keep_their_limits_and_dwell_times() -> None:
     assert lengths[ups].max() <= 9.0
     assert lengths[~ups].min() >= 2.0
     for k in edges:
-        before, after = on[k - 1], on[k]
+        before = on[k - 1]
+        after = on[k]
         assert before != after
         if after == 1.0:
             assert y[k] < 24.0
@@ -172,7 +187,9 @@ def test_two_levels_move_their_switches_with_the_plant() -> None:
     """
     tank = Tank.model().parameters()
     law = TwoLevel(0.0, Tank.drive.limits[1], below=0.05, above=0.05)
-    size, means, slopes = 300, {-1: [], 1: []}, []
+    size = 300
+    means = {-1: [], 1: []}
+    slopes = []
     name = Tank.model().structure.free[0]
     width = 0.02 * tank[name]
     for shift in np.linspace(0.0, 0.03, 40):

@@ -36,7 +36,8 @@ def test_every_recorded_command_is_reproduced(
     recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
 ) -> None:
     for number in recordings:
-        window, pid = recorded_hour(number), Controller(RIG)
+        window = recorded_hour(number)
+        pid = Controller(RIG)
         pwm = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
         np.testing.assert_allclose(pwm, window.input, atol=1e-4)
         assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
@@ -63,7 +64,8 @@ def test_a_hand_calculation() -> None:
 
 @given(errors)
 def test_following_a_controller_adopts_its_state(values: list[float]) -> None:
-    leader, follower = Controller(RIG), Controller(RIG, PidState(77.0, 0.0))
+    leader = Controller(RIG)
+    follower = Controller(RIG, PidState(77.0, 0.0))
     for error in values:
         follower.follow(error, 0.0, leader.step(error, 0.0)[0])
         assert follower.state[1] == leader.state[1]
@@ -75,7 +77,9 @@ def test_the_state_is_found_for_any_back_calculation(
     values: list[float], back_calculation: float, period: float
 ) -> None:
     gains = dataclasses.replace(RIG, back_calculation=back_calculation, period=period)
-    pid, pwm, states = Controller(gains), [], []
+    pid = Controller(gains)
+    pwm = []
+    states = []
     for error in values:
         pwm.append(pid.step(error, 0.0)[0])
         states.append(pid.state)
@@ -101,7 +105,8 @@ def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> 
 
 def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -> None:
     gains = dataclasses.replace(RIG, back_calculation=0.5)
-    leader, follower = Controller(gains), Controller(gains, PidState(500.0, 0.0))
+    leader = Controller(gains)
+    follower = Controller(gains, PidState(500.0, 0.0))
     gaps = []
     for _ in range(12):
         follower.follow(20.0, 0.0, leader.step(20.0, 0.0)[0])
@@ -112,7 +117,8 @@ def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -
 
 
 def test_a_simulation_from_a_found_state_continues_where_the_first_left_off() -> None:
-    rig, reference = Peltier.model().parameters(), np.repeat([30.0, 70.0, 40.0], 60)
+    rig = Peltier.model().parameters()
+    reference = np.repeat([30.0, 70.0, 40.0], 60)
     whole = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
     window = Window(reference, whole.output, whole.input).part(100, 179)
     rest = simulate_closed_loop(
@@ -140,7 +146,8 @@ def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_i
 
 
 def test_what_is_not_a_number_is_refused_and_changes_nothing() -> None:
-    pid, one = Controller(RIG, PidState(3.0, 1.0)), np.zeros(1)
+    pid = Controller(RIG, PidState(3.0, 1.0))
+    one = np.zeros(1)
     for message, use in (
         ("controller: output is nan", lambda: pid.step(40.0, math.nan)),
         ("controller: reference is inf", lambda: pid.step(math.inf, 30.0)),

@@ -33,8 +33,11 @@ def derived(rates: tuple[Any, Any], outputs: tuple[Any, ...] = X) -> Derived:
 def evaluated(equations: Derived, sizes: dict[str, int]) -> dict[str, np.ndarray]:
     """The results of some compiled functions at NUMBERS, by name."""
     owner, addresses = linked(compiled_object(plant_formulas(equations)))
-    x, u, p = np.array(NUMBERS[:2]), np.array(NUMBERS[2:4]), np.zeros(64)
-    p[:2], b = NUMBERS[4:], np.zeros(1)
+    x = np.array(NUMBERS[:2])
+    u = np.array(NUMBERS[2:4])
+    p = np.zeros(64)
+    p[:2] = NUMBERS[4:]
+    b = np.zeros(1)
 
     def call(function: str, target: np.ndarray) -> np.ndarray:
         of = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(addresses[function])
@@ -56,7 +59,8 @@ def expected(expressions: list[Any]) -> np.ndarray:
 
 def assert_all_agree(equations: Derived) -> None:
     """Rates with all derivatives, and outputs with theirs."""
-    rates, outputs = equations.rates, list(equations.outputs)
+    rates = equations.rates
+    outputs = list(equations.outputs)
     by = [[e.diff(s) for e in rates for s in symbols] for symbols in (P, X, U)]
     right = {
         "slopes": [*by[0], *rates, *by[1], *by[2]],
@@ -102,5 +106,6 @@ EXPRESSIONS = st.recursive(
 @settings(max_examples=12)
 @given(first=EXPRESSIONS, second=EXPRESSIONS)
 def test_any_arithmetic_is_compiled(first: Any, second: Any) -> None:
-    one, other = sympy.sympify(first), sympy.sympify(second)
+    one = sympy.sympify(first)
+    other = sympy.sympify(second)
     assert_all_agree(derived((one, other), (other, one)))

@@ -50,7 +50,11 @@ class Textbook:
     """
 
     def __init__(self, base: Parameters, names: list[str], z: Array, covariance: Array, q: Array) -> None:
-        self.base, self.names, self.z, self.covariance, self.q = base, names, z, covariance, q
+        self.base = base
+        self.names = names
+        self.z = z
+        self.covariance = covariance
+        self.q = q
         self.n = len(base.model.states)
 
     def plant(self, z: Array) -> Parameters:
@@ -127,12 +131,16 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
 
 def test_a_linear_plant_settles_at_the_riccati_equation() -> None:
     """The covariance before a reading, against scipy's discrete algebraic Riccati equation."""
-    p, period, drift = Lag.model().parameters(lag=8.0), 0.5, 0.03
+    p = Lag.model().parameters(lag=8.0)
+    period = 0.5
+    drift = 0.03
     observer = Observer(p, 0.0, period=period, drift=[drift], start=[1.0])
     for _ in range(400):
         observer.correct(0.0)
         observer.predict(0.0)
-    a, q, r = math.exp(-period / 8.0), drift**2 * period, Lag.output.noise**2
+    a = math.exp(-period / 8.0)
+    q = drift**2 * period
+    r = Lag.output.noise**2
     exact = scipy.linalg.solve_discrete_are(np.array([[a]]), np.eye(1), np.array([[q]]), np.array([[r]]))
     np.testing.assert_allclose(observer.covariance, exact, rtol=1e-6)
 
@@ -146,7 +154,8 @@ def test_a_parameter_that_changes_is_followed() -> None:
     after = simulate_driven(faulty, u[1200:], states=before.states[-1])
     rng = np.random.default_rng(8)
     output = np.concatenate([before.output, after.output]) + 0.1 * rng.standard_normal(u.size)
-    drift, start = [1e-3, 1e-3], [0.2, 2.0]
+    drift = [1e-3, 1e-3]
+    start = [0.2, 2.0]
     walks = {"sink_convection": RandomWalk(0.02, 0.1)}
     observer = Observer(rig, output[0], period=1.0, drift=drift, start=start, random_walks=walks)
     for k in range(u.size):
@@ -208,7 +217,8 @@ def test_a_surprise_within_the_limit_changes_nothing() -> None:
 
 def plate_error(twin: Parameters, *, adaptive: bool) -> float:
     """Mean |error| of the plate's temperature as an observer of `twin` estimates it, K; noise 0.05 K."""
-    rig, steps = MASSIVE.parameters(), np.repeat([40.0, 55.0, 30.0, 50.0], 200)
+    rig = MASSIVE.parameters()
+    steps = np.repeat([40.0, 55.0, 30.0, 50.0], 200)
     run = simulate_closed_loop(
         rig, steps, states=begin(rig, 40.0), sensor=Sensor(noise=0.05).realise(800, 1.0, 4)
     )
@@ -263,9 +273,11 @@ def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
         ]
         for _ in range(2)
     )
-    bank, rng = ObserverBank(together), np.random.default_rng(3)
+    bank = ObserverBank(together)
+    rng = np.random.default_rng(3)
     for k in range(60):
-        u, y = float(rng.uniform(0.0, 100.0)), float(25.0 + rng.standard_normal())
+        u = float(rng.uniform(0.0, 100.0))
+        y = float(25.0 + rng.standard_normal())
         for each in alone:
             each.predict(u)
             if k % 7:
@@ -281,7 +293,9 @@ def test_parameters_may_be_exchanged_at_any_sample() -> None:
     rig = MASSIVE.parameters()
     observer = Observer(rig, 25.0, period=1.0, drift=[1e-2, 1e-2], start=[0.2, 3.0])
     observer.correct(25.1)
-    states, covariance, better = observer.states, observer.covariance, rig.replace(heat_capacity=30.0)
+    states = observer.states
+    covariance = observer.covariance
+    better = rig.replace(heat_capacity=30.0)
     observer.parameters = better
     np.testing.assert_array_equal(observer.states, states)
     np.testing.assert_array_equal(observer.covariance, covariance)

@@ -49,7 +49,8 @@ def test_parameters_are_a_mapping_with_units() -> None:
 
 
 def test_impossible_parameters_and_unknown_names_are_refused_in_words() -> None:
-    motor, rig = Motor.model(), Peltier.model()
+    motor = Motor.model()
+    rig = Peltier.model()
     for message, make in (
         (
             "without friction: no parameter 'dry' in this structure; it has k, r",
@@ -114,7 +115,8 @@ def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: 
 
 
 def test_corners_are_all_of_few_states_and_of_many_a_few_that_hold_every_triple() -> None:
-    few, many = corners_of([(0.0, 1.0), (2.0, 5.0)]), corners_of([(0.0, 1.0)] * 40)
+    few = corners_of([(0.0, 1.0), (2.0, 5.0)])
+    many = corners_of([(0.0, 1.0)] * 40)
     assert {tuple(row) for row in few.tolist()} == {(0.0, 2.0), (0.0, 5.0), (1.0, 2.0), (1.0, 5.0)}
     assert len(many) < 200
     assert np.isin(many, (0.0, 1.0)).all()

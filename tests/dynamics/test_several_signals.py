@@ -95,7 +95,8 @@ def test_its_linearisation_is_the_matrix_exponential() -> None:
     rest = rest_at(PLANT, [45.0, 38.0])
     found = linearised(PLANT, [45.0, 38.0], 2.0)
     np.testing.assert_allclose(advance(PLANT, rest.states, rest.inputs, 2.0), rest.states, atol=1e-9)
-    rates, at = Heaters.rates_of(dict(PLANT)), np.append(rest.states, rest.inputs)
+    rates = Heaters.rates_of(dict(PLANT))
+    at = np.append(rest.states, rest.inputs)
     slopes = np.zeros((4, 4))
     for j in range(4):
         moved = 1e-4 * np.eye(4)[j]
@@ -129,7 +130,9 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
     assert sums.shape == (2 * len(found.outputs), 2)
     assert math.isfinite(square)
     # The second output's noise, at one sample, through a run that is disturbed there.
-    k, bump, law = 20, 1e-5, LAW.code
+    k = 20
+    bump = 1e-5
+    law = LAW.code
     states = begin(PLANT, window.outputs[2], input=window.inputs[1])
     changes = []
     for sign in (1.0, -1.0):
@@ -150,7 +153,9 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
     """Both readings at once with matrices, against one after the other in compiled code."""
     window = driven(0.1)
     observer = Observer(PLANT, window.outputs[0], period=2.0, drift=[0.05, 0.05], start=[1.0, 2.0])
-    at, covariance, noise = observer.states, observer.covariance, np.diag(MODEL.noise**2)
+    at = observer.states
+    covariance = observer.covariance
+    noise = np.diag(MODEL.noise**2)
     for k in range(60):
         of = covariance + noise
         gain = covariance @ np.linalg.inv(of)
@@ -171,7 +176,8 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
 
 
 def test_its_forecast_has_the_spread_of_random_runs() -> None:
-    rest, size = rest_at(PLANT, [60.0, 55.0]), 40
+    rest = rest_at(PLANT, [60.0, 55.0])
+    size = 40
     reference = np.tile([60.0, 55.0], (size, 1))
     reference[:, 0] += 1.0
     integral = np.linalg.solve(LAW.C, rest.inputs - LAW.offset)
@@ -182,13 +188,16 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
     )  # fmt: skip
     run = simulate_closed_loop(PLANT, reference, states=rest.states, law=LAW, controller=integral)
     np.testing.assert_allclose(found.outputs, run.outputs, atol=1e-9)
-    rng, runs, strays = np.random.default_rng(3), [], np.array([0.02, 0.03]) * math.sqrt(2.0)
+    rng = np.random.default_rng(3)
+    runs = []
+    strays = np.array([0.02, 0.03]) * math.sqrt(2.0)
     for _ in range(400):
         x = rest.states + rng.standard_normal(2) * [0.2, 0.3]
         x = advance(PLANT, x, rest.inputs, 2.0) + rng.standard_normal(2) * np.array([0.02, 0.03]) * math.sqrt(
             2
         )
-        z, rows = integral, []
+        z = integral
+        rows = []
         for k in range(size):
             y = x + 0.1 * rng.standard_normal(2)
             u = np.clip(LAW.C @ z + LAW.D @ y + LAW.E @ reference[k] + LAW.offset, LAW.low, LAW.high)

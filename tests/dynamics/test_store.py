@@ -73,7 +73,9 @@ def again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]
     def load() -> Path:
         monkeypatch.setattr(store, "_LOADED", {})
         kernels = store.kernels_of(Lag, frozenset(), frozenset())
-        vector, still, none = np.array([2.0, 1.0]), np.zeros(1), np.zeros(0)
+        vector = np.array([2.0, 1.0])
+        still = np.zeros(1)
+        none = np.zeros(0)
         reached = kernels.advance(vector, still, np.array([3.0]), none, 1.0, 40)
         assert reached[0] == pytest.approx(6.0 * (1.0 - math.exp(-1.0)), rel=1e-6)
         (kept,) = (tmp_path / "cache").iterdir()
@@ -98,7 +100,8 @@ def test_a_damaged_file_is_compiled_again(again: Callable[[], Path]) -> None:
 
 
 def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
-    first, second = start(), start()
+    first = start()
+    second = start()
     assert float(ended(first)) == float(ended(second)) == pytest.approx(1.5)
     assert [path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()] == [".code"]
 

@@ -80,7 +80,8 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
     exact = experiment.tangents(values)
     assert np.isfinite(exact.by).all()
     for j, step in enumerate(np.diag([1e-7, 1e-7])):
-        up, down = experiment.simulate(values + step), experiment.simulate(values - step)
+        up = experiment.simulate(values + step)
+        down = experiment.simulate(values - step)
         np.testing.assert_allclose(exact.by[0, :, j], (up.output - down.output) / 2e-7, atol=0.02)
     low = begin(Cask.model().parameters(), -0.3)  # noise shows levels below zero
     assert np.isfinite(
@@ -114,7 +115,8 @@ def delayed_plant(u: np.ndarray, gain: float, lag: float, delay: float) -> np.nd
     shift = round(delay * FINE / PERIOD)
     came = np.concatenate([np.full(shift, u[0]), fine])[: fine.size]
     decay = np.exp(-PERIOD / FINE / lag)
-    y, x = np.empty(u.size), gain * u[0]
+    y = np.empty(u.size)
+    x = gain * u[0]
     for k, value in enumerate(came):
         if k % FINE == 0:
             y[k // FINE] = 20.0 + x
@@ -133,7 +135,8 @@ def recorded(gain: float, lag: float, delay: float, seed: int = 3) -> Window:
 @pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
 def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
     theta = 3.0
-    states, u = sympy.symbols(f"z:{order}"), sympy.Symbol("u")
+    states = sympy.symbols(f"z:{order}")
+    u = sympy.Symbol("u")
     line = DelayLine(tuple(states)).after(u, theta)
     a = np.array([[float(line.rates[x].diff(z)) for z in states] for x in states])
     b = np.array([[float(line.rates[x].diff(u))] for x in states])
@@ -188,7 +191,8 @@ def test_tangents_are_exact(delay: float, lag: float) -> None:
     values = np.array([0.8, lag, delay])
     by = experiment.tangents(values).by[0]
     for j, step in enumerate((1e-5, 1e-3, 1e-3)):
-        high, low = values.copy(), values.copy()
+        high = values.copy()
+        low = values.copy()
         high[j] += step
         low[j] -= step
         slope = (experiment.simulate(high).output - experiment.simulate(low).output) / (2 * step)
@@ -197,7 +201,8 @@ def test_tangents_are_exact(delay: float, lag: float) -> None:
 
 def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
     p = PIPE.parameters(delay=20.0)
-    before, at_rest = begin(p, 60.0, input=40.0), begin(p, 60.0)
+    before = begin(p, 60.0, input=40.0)
+    at_rest = begin(p, 60.0)
     places = [p.model.states.index(f"pipe_{i}") for i in range(4)]
     np.testing.assert_array_equal(before[places], [40.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(at_rest[places], np.zeros(4))

@@ -12,7 +12,8 @@ from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
 from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker, no_traces
 
-PERIOD, NOISE = 1.0, 0.01
+PERIOD = 1.0
+NOISE = 0.01
 TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
 
 
@@ -20,7 +21,8 @@ def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Read
     """Readings of the true plant, whose drive does a share, and whose readings creep by a rate per second."""
     random = np.random.default_rng(seed)
     u = np.repeat(random.uniform(-5.0, 5.0, size // 20 + 1), 20)[:size]
-    states, y = begin(TRUTH, 0.0), np.empty(size)
+    states = begin(TRUTH, 0.0)
+    y = np.empty(size)
     for k in range(size):
         y[k] = states[0] + random.normal(0.0, NOISE) + rate * k
         states = advance(TRUTH, states, share * u[k], PERIOD)
@@ -48,9 +50,11 @@ def test_parameters_are_found_to_within_what_is_believed(seed: int) -> None:
 
 
 def test_in_pieces_is_the_same_as_in_one_piece_to_the_last_bit() -> None:
-    of, whole = tracker(), stretch(3, 100)
+    of = tracker()
+    whole = stretch(3, 100)
     at_once, cost = of.run(first(of), whole, 1)
-    belief, total = first(of), 0.0
+    belief = first(of)
+    total = 0.0
     for a in range(0, 100, 20):
         part = Readings(
             whole.output[a : a + 22],
@@ -77,13 +81,17 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
     belief, cost = of.run(known, record, 1)
     p = of.parameters
     a = np.exp(-PERIOD / p["lag"])
-    drift, swift = of.drifts[1].each[0] ** 2 * PERIOD, of.drifts[1].swift
-    fading, fade = 0.0, of._fixed.keeps[of.fading]
+    drift = of.drifts[1].each[0] ** 2 * PERIOD
+    swift = of.drifts[1].swift
+    fading = 0.0
+    fade = of._fixed.keeps[of.fading]
     strays = of.drifts[1].each[of.fading] ** 2 * PERIOD
-    state, push = np.zeros(2), np.array([1.0, 0.0])
+    state = np.zeros(2)
+    push = np.array([1.0, 0.0])
     state[0] = known.values[0]
     covariance = np.diag([known.covariance[0, 0], fading])
-    moved, total = np.array([[a, PERIOD], [0.0, fade]]), 0.0
+    moved = np.array([[a, PERIOD], [0.0, fade]])
+    total = 0.0
     for y, u in zip(record.output[2:], record.input, strict=True):
         variance = push @ covariance @ push + NOISE**2
         surprise = y - state[0]
@@ -118,9 +126,11 @@ def test_what_is_opened_is_found() -> None:
 
 @pytest.mark.parametrize("how", [{}, {"rising": -5}, {"lasting": 30}])
 def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(how: dict[str, int]) -> None:
-    of, record = tracker(), stretch(3, 100, share=0.8)
+    of = tracker()
+    record = stretch(3, 100, share=0.8)
     how = {name: of.size + value if name == "rising" else value for name, value in how.items()}
-    opened, before = np.full(of.size, 0.05), first(of).opened(of.rate, 0.0, 0.02)
+    opened = np.full(of.size, 0.05)
+    before = first(of).opened(of.rate, 0.0, 0.02)
     whole, cost = TrackedCourse(of, before, 0, opened=opened, **how).to(record)
     course = TrackedCourse(of, before, 0, opened=opened, **how)
     for end in (1, 20, 45, 100):

@@ -106,11 +106,13 @@ class Host:
         self.board.close()
 
     def _open(self, first: int) -> None:
-        self.wire, self._next = Wire(self.board), first
+        self.wire = Wire(self.board)
+        self._next = first
         assert isinstance(self.ask("H"), Banner)
 
     def _numbered(self, verb: str, *value: int) -> str:
-        sequence, self._next = self._next, (self._next + 1) % SEQUENCES
+        sequence = self._next
+        self._next = (self._next + 1) % SEQUENCES
         return " ".join(map(str, (verb, sequence, *value)))
 
 
@@ -189,7 +191,8 @@ def test_clearing_counts_only_after_a_rest(host: Host) -> None:
     host.board.advance(off + SHORT / 2 * FULL / HOLD + 0.005 - host.board.drive().time)
     assert host.status("Q").flags & SPENT == SPENT  # half of the budget is back, but nothing clears itself
     assert host.status("C").flags == Flags.NONE
-    expected, before = given_back(host, off), len(host.pins)
+    expected = given_back(host, off)
+    before = len(host.pins)
     assert 1.0 < expected < 1.3
     assert not host.hold(255, 3.0)
     assert (len(host.pins) - before) * TICK == pytest.approx(expected, abs=0.05)
@@ -203,7 +206,8 @@ def test_a_silent_host_trips_the_deadline_and_gets_nothing_back_by_clearing(host
     assert host.status("C").flags == Flags.NONE
     host.open_again()
     host.status("C")
-    expected, before = SHORT - 1.0 + given_back(host, off), len(host.pins)
+    expected = SHORT - 1.0 + given_back(host, off)
+    before = len(host.pins)
     assert expected < 1.5
     assert not host.hold(255, 3.0)
     assert (len(host.pins) - before) * TICK == pytest.approx(expected, abs=0.05)

@@ -135,7 +135,8 @@ def test_the_clock_tells_plant_time_and_never_runs_ahead_and_ends_with_the_durat
     running = rig("--speed", "10", "--board", "python", "--duration", "30")
     with socket.create_connection(parse_address(running.address("clock"))) as connection:
         lines = connection.makefile("rb")
-        first, start = int(lines.readline()), time.monotonic()
+        first = int(lines.readline())
+        start = time.monotonic()
         stamps = [int(line) for line in lines]
         wall = time.monotonic() - start
     assert all(a < b for a, b in itertools.pairwise(stamps))
@@ -167,7 +168,8 @@ def test_faults_of_the_camera_end_and_the_rig_ends_with_its_camera(rig: Start, c
     running.tell("sensor-frozen")  # it keeps sending, but has no news
     wait_for(lambda: running.state()["faults"], "the fault")
     time.sleep(0.1)
-    last, frames = thermal.news(), thermal.status.frames
+    last = thermal.news()
+    frames = thermal.status.frames
     wait_for(lambda: thermal.status.frames > frames + 5, "more frames")
     assert thermal.news() is last
     running.tell("end sensor-frozen")

@@ -90,7 +90,8 @@ def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
         kit.board.heaters = [60.0, 60.0]
         for _ in range(12_000):
             kit.step()
-        state, (first, second) = kit.state(), map(kit._reading, (1, 2))
+        state = kit.state()
+        first, second = map(kit._reading, (1, 2))
     assert state["heater"] > 40.0  # °C; what heats the second is the first alone
     assert state["second_heater"] < 30.0
     assert first < 22.0 < second
@@ -137,7 +138,9 @@ def test_the_plant_is_that_of_the_plant_room() -> None:
 
 def test_the_loop_settles_on_its_reference() -> None:
     """Once the heat sink has: its time constant is a minute or two."""
-    plant, law, drive = VirtualPlant(), Controller(Peltier.loop), PinDrive(0.0, 0.0, enabled=True)
+    plant = VirtualPlant()
+    law = Controller(Peltier.loop)
+    drive = PinDrive(0.0, 0.0, enabled=True)
     for _ in range(1500):
         plant.advance(drive, 1.0)
         drive = drive._replace(pwm=law.step(60.0, plant.seen)[0])

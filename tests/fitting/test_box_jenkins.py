@@ -234,7 +234,9 @@ def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
 
 def test_filters_are_scipys() -> None:
     rng = np.random.default_rng(1)
-    x, a, b = rng.standard_normal(200), np.array([1.0, -1.1, 0.3, 0.1]), rng.standard_normal(4)
+    x = rng.standard_normal(200)
+    a = np.array([1.0, -1.1, 0.3, 0.1])
+    b = rng.standard_normal(4)
     np.testing.assert_allclose(fir(b, x), lfilter(b, [1.0], x), rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(all_pole(a, x), lfilter([1.0], a, x), rtol=1e-12, atol=1e-13)
 
@@ -242,7 +244,8 @@ def test_filters_are_scipys() -> None:
 @given(st.integers(0, 2**31), st.integers(0, 5), st.integers(1, 4), st.integers(0, 3))
 def test_normal_matrix_and_triangle_agree_with_the_matrix(seed: int, d: int, n: int, first: int) -> None:
     rng = np.random.default_rng(seed)
-    pad, count = 9 + SLACK, 117
+    pad = 9 + SLACK
+    count = 117
     signals = np.zeros((2, pad + count))
     signals[:, pad:] = rng.standard_normal((2, count))
     spans = np.array([[0, d, n], [1, 1, 3], [0, 0, 1 if d else 0]], dtype=np.int64)
@@ -263,7 +266,9 @@ def test_dependent_columns_are_dropped_by_cholesky() -> None:
 
 def test_ridge_solution_is_that_of_the_stacked_system() -> None:
     rng = np.random.default_rng(3)
-    R, rhs, damping = np.triu(rng.standard_normal((5, 5))), rng.standard_normal(5), rng.uniform(0, 1, 5)
+    R = np.triu(rng.standard_normal((5, 5)))
+    rhs = rng.standard_normal(5)
+    damping = rng.uniform(0, 1, 5)
     stacked = np.linalg.lstsq(np.vstack((R, np.diag(damping))), np.append(rhs, np.zeros(5)), rcond=None)[0]
     np.testing.assert_allclose(ridge_solve(R, rhs, damping), stacked, rtol=1e-10)
 
@@ -399,7 +404,8 @@ def test_closed_loop_gain_is_one(recorded_hour: Hour) -> None:
 
 def test_a_model_judges_itself_on_the_next_window(recorded_hour: Hour) -> None:
     hour = recorded_hour(5)
-    here, there = hour.part(200, 1400), hour.part(1401, 2600)
+    here = hour.part(200, 1400)
+    there = hour.part(1401, 2600)
     model: BoxJenkins = estimate(here.reference, here.output, "22221")
     assert model.loss(there.reference, there.output) < 1.5 * model.variance
     assert model.loss(there.reference, there.output, "zero") > model.loss(there.reference, there.output)

@@ -81,19 +81,25 @@ def test_any_rig_is_found_from_the_default_start(
 def test_an_independent_program_finds_the_same(record: Recorder) -> None:
     """The plant by a general integrator, the PID spelled out, derivatives by scipy: one short window."""
     window = record(TRUTH, levels=(40.0, 48.0), seed=3, samples=30)
-    r, y, u = window.reference, window.output, window.input
+    r = window.reference
+    y = window.output
+    u = window.input
     noise = Noise.of(Peltier)
 
     def simulate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a, k, c = values
-        e, before = r[1] - y[1], r[0] - y[0]
+        e = r[1] - y[1]
+        before = r[0] - y[0]
         x = u[1] + 1.46877 * e - 38.57 * e - 6.66875 * (e - before)
-        plate, temperatures, commands = y[2] + 273.15, [], []
+        plate = y[2] + 273.15
+        temperatures = []
+        commands = []
         for reference in r[2:]:
             error = reference - (plate - 273.15)
             wanted = 38.57 * error + x + 6.66875 * (error - e)
             command = float(np.clip(wanted, -255, 255))
-            x, e = x + 1.46877 * error + (command - wanted), error
+            x = x + 1.46877 * error + (command - wanted)
+            e = error
             temperatures.append(plate - 273.15)
             commands.append(command)
 
@@ -119,7 +125,8 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
 
 def test_the_covariance_is_honest(record: Recorder) -> None:
     """Sixty noisy windows: the spread of the estimates against the spread they claim."""
-    estimates, errors = [], []
+    estimates = []
+    errors = []
     for seed in range(60):
         posed = problem(record(TRUTH, seed=seed))
         found = solve(posed, [posed.values_of(TRUTH)])
@@ -156,7 +163,8 @@ def test_gradient_and_information_are_those_of_the_residuals(record: Recorder) -
     here = posed.evaluate(posed.values_of(TRUTH))
     direction = 1e-4 * np.array([0.01, -0.05, 2.0, 0.5])
     ahead, back = (posed.residuals(here.values + way).ravel() for way in (direction, -direction))
-    change, residuals = (ahead - back) / 2, posed.residuals(here.values).ravel()
+    change = (ahead - back) / 2
+    residuals = posed.residuals(here.values).ravel()
     assert here.cost == pytest.approx(residuals @ residuals, rel=1e-12)
     assert here.gradient @ direction == pytest.approx(change @ residuals, rel=1e-5)
     assert direction @ here.hessian @ direction == pytest.approx(change @ change, rel=1e-5)
@@ -267,9 +275,12 @@ def test_white_noise_needs_no_noise_model() -> None:
 
 def test_closed_loop_data() -> None:
     rng = np.random.default_rng(5)
-    count, reference = 3000, held(3000, rng)
+    count = 3000
+    reference = held(3000, rng)
     noise = lfilter(C, D, 0.1 * rng.standard_normal(count))
-    u, w, y = np.zeros(count), np.zeros(count), np.zeros(count)
+    u = np.zeros(count)
+    w = np.zeros(count)
+    y = np.zeros(count)
     for t in range(count):
         w[t] = sum(B[i] * u[t - i] for i in (1, 2) if t >= i) - sum(F[i] * w[t - i] for i in (1, 2) if t >= i)
         y[t] = w[t] + noise[t]
@@ -280,7 +291,8 @@ def test_closed_loop_data() -> None:
 
 def test_a_window_that_begins_in_a_transient() -> None:
     """A slow plant whose past reaches far into the window, seven times."""
-    slow, gain = np.poly([0.98, 0.9]), np.array([0.0, 0.02, 0.01])
+    slow = np.poly([0.98, 0.9])
+    gain = np.array([0.0, 0.02, 0.01])
     error: dict[str, list[float]] = {"estimate": [], "zero": []}
     for seed in range(7):
         rng = np.random.default_rng(seed)
@@ -296,7 +308,10 @@ def test_a_window_that_begins_in_a_transient() -> None:
 
 def plain_errors(x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
     """Order 22221 written down without any of our code: filters and their states as parameters."""
-    b, c, d, f = np.append(0.0, x[:2]), np.append(1.0, x[2:4]), np.append(1.0, x[4:6]), np.append(1.0, x[6:8])
+    b = np.append(0.0, x[:2])
+    c = np.append(1.0, x[2:4])
+    d = np.append(1.0, x[4:6])
+    f = np.append(1.0, x[6:8])
     if np.max(np.abs(np.roots(c))) >= 1.0 - MEMORY / u.size or np.max(np.abs(np.roots(f))) >= 1.0:
         return np.full(u.size, 1e3)
     w = lfilter(b, f, u, zi=x[8:10])[0]

@@ -240,7 +240,9 @@ def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
         small_step.suggestion,
     )
     assert said is not None
-    level, name, promised = float(said[1]), said[2], float(said[3])
+    level = float(said[1])
+    name = said[2]
+    promised = float(said[3])
     place = small_step.free.index(name)
     before = small_step.standard_errors[place]
     reference = np.concatenate([np.full(60, 36.0), np.full(240, level)])

@@ -460,10 +460,8 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
 
 
 def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: Recorder) -> None:
-    window, known = (
-        record(TRUTH, seed=4),
-        {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)},
-    )
+    window = record(TRUTH, seed=4)
+    known = {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)}
     found = match(window, start=START, prior=known)
     problem = Problem(window, PLATE, START, Noise.of(Peltier), Peltier.loop)
 

@@ -30,7 +30,8 @@ TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
 
 def a_session(samples: int = 800, seed: int = 5) -> list[Sample]:
     """A held sink, whose set-point moves every 250 s."""
-    truth, levels = NATIVE.parameters(**TRUTH), (40.0, 60.0, 35.0, 55.0)
+    truth = NATIVE.parameters(**TRUTH)
+    levels = (40.0, 60.0, 35.0, 55.0)
     reference = np.array([levels[k // 250 % len(levels)] for k in range(samples)])
     run = simulate_closed_loop(
         truth,
@@ -64,7 +65,8 @@ def test_wrong_physics_loses_the_choice_of_structures(
     window = Window(
         *(np.array([getattr(s, n) for s in samples]) for n in ("reference", "output", "input")), period=1.0
     )
-    right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")
+    right = adopted(exchange_fmu, "right")
+    wrong = adopted(wrong_fmu, "wrong")
     choice = choose_structure(window, [wrong, right, NATIVE])
     assert choice.chosen != wrong.structure_name
     off = {score.name: score.off for score in choice.scores}
@@ -77,7 +79,8 @@ def test_wrong_physics_loses_the_choice_of_structures(
 def test_wrong_physics_forecasts_worse(
     adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
 ) -> None:
-    right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")
+    right = adopted(exchange_fmu, "right")
+    wrong = adopted(wrong_fmu, "wrong")
     verdict = judged(a_session()).verdicts[-1]
     gains = {score.name: score.gain for score in verdict.forecasts}
     assert gains[right.structure_name] > gains[wrong.structure_name]
@@ -110,7 +113,8 @@ def test_one_that_is_lost_takes_no_one_with_it(adopted: Callable[..., Model], tm
 
 @pytest.mark.usefixtures("only_fmus")
 def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
-    model, samples = adopted(exchange_fmu), a_session(700)
+    model = adopted(exchange_fmu)
+    samples = a_session(700)
     twin = Twin(TwinSettings())
     for sample in samples[:560]:
         twin.push(sample)

@@ -51,7 +51,8 @@ def a_window(samples: int = 150, seed: int = 3) -> Window:
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Model:
     """Taken in once for all tests; it goes with the last of this file."""
     name, _, kind = request.param.partition(" ")
-    fmu, folder = request.getfixturevalue(name), tmp_path_factory.mktemp("map")
+    fmu = request.getfixturevalue(name)
+    folder = tmp_path_factory.mktemp("map")
     chosen = {"kind": kind} if kind else {}
     return adopt_fmus(write_map(folder, fmu, f"the shop's {request.param}", **chosen))[0]
 
@@ -78,7 +79,8 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
         found.append((experiment.tangents(values), *experiment.normal(values)))
     (exact, cost, gradient, hessian), (tangents, *normal) = found
     for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_input", 1e-7), ("seen", 1e-9)):
-        one, other = getattr(exact, name), getattr(tangents, name)
+        one = getattr(exact, name)
+        other = getattr(tangents, name)
         np.testing.assert_allclose(other, one, rtol=0, atol=size * np.abs(one).max(), err_msg=name)
     assert normal[0] == pytest.approx(cost, rel=1e-7)  # native steps are good to that
     np.testing.assert_allclose(normal[1], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max())
@@ -87,7 +89,8 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_an_observer_follows_as_the_native_one_does(model: Model) -> None:
-    window, found = a_window(60), []
+    window = a_window(60)
+    found = []
     for one in (NATIVE, model):
         observer = Observer(
             one.parameters(**TRUTH), window.output[0], period=1.0, drift=[0.03], start=[4.5], limit=4.0
@@ -121,7 +124,8 @@ def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
-    one, other = NATIVE.parameters(**TRUTH), model.parameters(**TRUTH)
+    one = NATIVE.parameters(**TRUTH)
+    other = model.parameters(**TRUTH)
     assert rest_at(other, 50.0).input == pytest.approx(rest_at(one, 50.0).input, abs=1e-5)
     for name in ("A", "B", "C"):
         np.testing.assert_allclose(
@@ -178,7 +182,8 @@ def test_any_plate_moves_as_its_equations_say(
 ) -> None:
     values = {"seebeck": seebeck, "conductance": conductance, "heat_capacity": heat_capacity}
     reference = np.repeat([begun, begun + 10.0], 15)
-    one, other = NATIVE.parameters(**values), model.parameters(**values)
+    one = NATIVE.parameters(**values)
+    other = model.parameters(**values)
     runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (one, other)]
     np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
@@ -204,8 +209,11 @@ def test_units_are_converted_and_disturbances_given(python_fmu: Path, tmp_path: 
         yaml.safe_dump({"plant": "incubator", "structures": {"a plate": entry}})
     )
     (model,) = adopt_fmus(tmp_path / "map.yaml")
-    heater, room, period = np.linspace(0.0, 1.0, 20), np.linspace(20.0, 30.0, 20), 2.0
-    own, expected = np.array([30.0 + KELVIN]), []
+    heater = np.linspace(0.0, 1.0, 20)
+    room = np.linspace(20.0, 30.0, 20)
+    period = 2.0
+    own = np.array([30.0 + KELVIN])
+    expected = []
     for u, d in zip(heater.tolist(), room.tolist(), strict=True):
         expected.append(own[0] - KELVIN)
         sink = NATIVE.parameters(

@@ -115,7 +115,8 @@ def test_a_restart_forgets_what_ran_before(adopted, tmp_path: Path, monkeypatch:
     with pytest.raises(FmuError, match="it has internal states that its map does not name"):
         adopted(fmu)
     monkeypatch.setattr(structure, "check_restart", lambda _: None)
-    parameters, drive = adopted(fmu).parameters(), np.full(20, 120.0)
+    parameters = adopted(fmu).parameters()
+    drive = np.full(20, 120.0)
     states = begin(parameters, 57.0)  # below where it switches off, above where it switches on again
     first = simulate_driven(parameters, drive, states=states).output
     hot = simulate_driven(parameters, drive, states=begin(parameters, 70.0)).output
@@ -158,7 +159,8 @@ def test_its_process_sees_no_socket_and_no_secret_and_ends_with_the_structure(
     monkeypatch.setenv("TWINMATCH_SECRET", "open sesame")
     run_of("")()
     source = _source()
-    process, folder = Path(f"/proc/{source._process._process.pid}"), source._process.folder
+    process = Path(f"/proc/{source._process._process.pid}")
+    folder = source._process.folder
     fds = [str(link.readlink()) for link in (process / "fd").iterdir()]
     assert not [name for name in fds if name.startswith("socket:")]
     assert b"open sesame" not in (process / "environ").read_bytes()
@@ -248,7 +250,8 @@ def test_a_bomb_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
 def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
     """Its directory says ten bytes, of a mebibyte or of the first ten."""
     for named, length, refused in (("long", 1 << 20, True), ("cut", 10, False)):
-        fmu, content = tmp_path / f"{named}.fmu", bytes(1 << 20)
+        fmu = tmp_path / f"{named}.fmu"
+        content = bytes(1 << 20)
         with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as opened:
             opened.writestr("zeros", content)
             opened.filelist[0].file_size, opened.filelist[0].CRC = 10, zlib.crc32(content[:length])

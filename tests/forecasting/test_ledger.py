@@ -16,7 +16,8 @@ from twinmatch.forecasting import CONFIDENCE, Arx, Calibration, Ledger, StateFil
 from twinmatch.signals import FloatArray, Sample
 
 NOISE = np.array([0.1, 7.0])
-PERSISTENCE, ARX = "nothing changes", "a small model"
+PERSISTENCE = "nothing changes"
+ARX = "a small model"
 
 
 def entered(
@@ -41,7 +42,8 @@ def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
     """Many errors of known width: the mean price is the entropy of Laplace's distribution in digits, and the
     gain the difference of two of them, by scipy's density."""
     n = 2000
-    good, poor = drawn(0.5, n, 1), drawn(4.0, n, 2)
+    good = drawn(0.5, n, 1)
+    poor = drawn(4.0, n, 2)
     gain = entered({PERSISTENCE: poor, "a": good}).gains(["a"])[0, 0]
     priced = sum(
         np.mean(-laplace.logpdf(e[k], scale=s * NOISE[k]) / np.log(10.0)) * sign
@@ -76,12 +78,14 @@ def test_a_boast_does_not_pay() -> None:
 def test_units_do_not_matter(unit: float) -> None:
     errors = {PERSISTENCE: drawn(3.0, 20, 1), "a": drawn(1.0, 20, 2)}
     scaled = {name: unit * e for name, e in errors.items()}
-    one, other = entered(errors), entered(scaled, noise=unit * NOISE)
+    one = entered(errors)
+    other = entered(scaled, noise=unit * NOISE)
     assert other.gains(["a"])[0, 0] == pytest.approx(one.gains(["a"])[0, 0], abs=1e-9)
 
 
 def test_the_past_is_forgotten() -> None:
-    early, late = drawn(0.5, 100, 1), drawn(5.0, 100, 2)
+    early = drawn(0.5, 100, 1)
+    late = drawn(5.0, 100, 2)
     turned = np.concatenate([late, early], axis=1)
     fallen = np.concatenate([early, late], axis=1)
     persistence = drawn(8.0, 200, 3)
@@ -142,7 +146,10 @@ def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
 @pytest.mark.parametrize("overlap", [1, 10])
 def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int) -> None:
     """The promise is one in twenty. The one with twice the error is found out."""
-    rng, alarms, found, runs = np.random.default_rng(7), 0, 0, 400
+    rng = np.random.default_rng(7)
+    alarms = 0
+    found = 0
+    runs = 400
     for _ in range(runs):
         shared, *own = (moving(rng, 150, overlap) for _ in range(4))
         one, other, baseline = (shared + 0.5 * each for each in own)
@@ -167,7 +174,8 @@ def learned(
     quotients: FloatArray, kept: float = MEMORY, recent: float = RECENT
 ) -> tuple[FloatArray, FloatArray]:
     """The widths before each of the quotients, shape (n, signals), and whether it lay within."""
-    calibration, widths = Calibration((1,), kept, recent, quotients.shape[1]), []
+    calibration = Calibration((1,), kept, recent, quotients.shape[1])
+    widths = []
     for row in quotients:
         widths.append(calibration.widths[:, 0])
         calibration.add([0], row[:, None])
@@ -220,7 +228,8 @@ def test_it_holds_while_the_noise_drifts() -> None:
         rolling = np.convolve(inside[60:].mean(axis=1), np.full(40, 1 / 40), "valid")
         return rolling.min(), scored(widths) / scored(norm.ppf(0.95) * sizes) - 1.0
 
-    (worst, lost), (worst_without, lost_without) = found(RECENT), found(MEMORY)
+    worst, lost = found(RECENT)
+    worst_without, lost_without = found(MEMORY)
     assert worst > max(0.8, worst_without + 0.04)
     assert lost < min(0.13, lost_without - 0.1)
 
@@ -242,7 +251,8 @@ def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], le
     `lead`-th; the quantile leaves room for the next, which overlaps: rank ⌈0.9·(n + √`lead`)⌉ (with 1 for the
     root: Vovk et al.)."""
     calibration = Calibration((lead,), 1.0, 1.0, 1)
-    scaled, mean = norm.ppf(0.5 + 0.5 * np.arange(1, 13) / 13).tolist(), norm.expect(abs)
+    scaled = norm.ppf(0.5 + 0.5 * np.arange(1, 13) / 13).tolist()
+    mean = norm.expect(abs)
     for n, value in enumerate([*values, 0.0]):
         weights = np.array([3.0, *[1.0 / lead] * n])
         scale = np.average([mean, *values[:n]], weights=weights) / mean
@@ -267,7 +277,8 @@ def test_a_copy_learns_on_its_own() -> None:
     first = Calibration((1,), MEMORY, RECENT, 1)
     for _ in range(500):  # until the prior is forgotten
         first.add([0], np.array([[0.3]]))
-    second, before = first.copy(), first.widths
+    second = first.copy()
+    before = first.widths
     for _ in range(30):
         second.add([0], np.array([[9.0]]))
     np.testing.assert_array_equal(first.widths, before)
@@ -293,12 +304,12 @@ def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample],
     """An exact run of `plant`: of the loop if there are gains, otherwise under random inputs."""
     random = np.random.default_rng(seed)
     y = y_before = u_before = 0.0
-    pid, samples, states = Controller(gains or GAINS), [], []
+    pid = Controller(gains or GAINS)
+    samples = []
+    states = []
     for k in range(n):
-        room, reference = (
-            20.0 + random.uniform(),
-            float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference,
-        )
+        room = 20.0 + random.uniform()
+        reference = float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference
         u = float(pid.step(reference, y)[0]) if gains else random.uniform(-1.0, 1.0)
         samples.append(Sample(k, 0, reference, y, u, (room,)))
         states.append(pid.state)
@@ -338,7 +349,9 @@ def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
     """Three outputs that act on one another, two inputs and a disturbance."""
     random = np.random.default_rng(2)
     by_y, by_step, by_u = (random.uniform(-0.1, 0.1, shape) for shape in ((3, 3), (3, 3), (3, 2)))
-    u, room, y = random.uniform(-1.0, 1.0, (300, 2)), random.uniform(size=300), np.zeros((300, 3))
+    u = random.uniform(-1.0, 1.0, (300, 2))
+    room = random.uniform(size=300)
+    y = np.zeros((300, 3))
     for k in range(1, 299):
         rate = by_y @ y[k] + by_step @ (y[k] - y[k - 1]) + by_u @ (u[k] + 0.5 * u[k - 1]) + 0.1 * room[k]
         y[k + 1] = 0.9 * y[k] + rate
@@ -353,7 +366,8 @@ def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
 def test_who_asks_in_between_changes_no_bit(asked: set[int], gap: bool) -> None:
     """Forecasts asked for beside a run, on a page or by a service, are not in its verdicts."""
     samples = [s for s in record(120, GAINS)[0] if not (gap and 60 <= s.index < 63)]
-    quiet, curious = Arx(GAINS, 0.99), Arx(GAINS, 0.99)
+    quiet = Arx(GAINS, 0.99)
+    curious = Arx(GAINS, 0.99)
     for sample in samples:
         quiet.push(sample)
         curious.push(sample)
@@ -374,7 +388,8 @@ def test_it_does_not_leave_what_was_visited_by_more_than_its_width() -> None:
     """A plant that runs away while it is watched."""
     samples = [Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)]
     found = fed(samples, None).departure(np.zeros(0)).forecast(np.zeros(400), None)
-    low, high = samples[0].output, samples[-1].output
+    low = samples[0].output
+    high = samples[-1].output
     assert found[0, -1] == pytest.approx(2.0 * high - low)
 
 

@@ -208,10 +208,12 @@ def test_a_level_that_is_passed_between_two_samples_is_reached() -> None:
 
 def test_an_overshoot_holds_only_behind_it() -> None:
     """The rig with too much integral gain: reached on the way up, held when it is back."""
-    rig, law = Peltier.model().parameters(), dataclasses.replace(law_of(Peltier, 1.0), integral=15.0)
+    rig = Peltier.model().parameters()
+    law = dataclasses.replace(law_of(Peltier, 1.0), integral=15.0)
     run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), law=law)
     said = forecast(run.output, run.input)
-    reached, settled = time_to_reach(said, 60.0, 0.2).expected, settling_time(said, 60.0, 0.2).expected
+    reached = time_to_reach(said, 60.0, 0.2).expected
+    settled = settling_time(said, 60.0, 0.2).expected
     assert reached is not None
     assert settled is not None
     within = np.abs(run.output - 60.0) <= 0.2
@@ -247,7 +249,8 @@ def test_every_run_inside_the_band_keeps_what_is_said(
     inside = mean + width * rng.uniform(-1.0, 1.0, 60)
     inside[0] = mean[0]  # on the same side of the level
     for ask in (time_to_reach, settling_time):
-        told, own = ask(said, level, tolerance), ask(forecast(inside, inside), level, tolerance).expected
+        told = ask(said, level, tolerance)
+        own = ask(forecast(inside, inside), level, tolerance).expected
         for one, other in ((told.earliest, told.expected), (told.expected, told.latest)):
             assert (one or math.inf) <= (other or math.inf)
         assert (told.earliest or math.inf) <= (own or math.inf)

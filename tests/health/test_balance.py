@@ -39,7 +39,8 @@ def test_an_error_of_drive_and_losses_is_learned() -> None:
     reference = rig.profile(5, 3000)
     run = simulate_closed_loop(slow, reference, states=begin(slow, 23.0))
     balance = Balance(RIG, 1.0)
-    early, late = [], []
+    early = []
+    late = []
     for k in range(len(reference) - 1):
         movement = balance.step(tick(run.output[k], run.input[k]), float(run.output[k + 1]))
         full = balance.block()
@@ -101,15 +102,19 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
 
     From sample `matched` on its parameters are known; its file calls none typical.
     """
-    truth, pid = Motor.model().parameters(**{"j": 4.4e-4, "b": 1.2e-4, **values}), Controller(Motor.loop)
-    states, random, y = begin(truth, 0.0), np.random.default_rng(7), 0.0
+    truth = Motor.model().parameters(**{"j": 4.4e-4, "b": 1.2e-4, **values})
+    pid = Controller(Motor.loop)
+    states = begin(truth, 0.0)
+    random = np.random.default_rng(7)
+    y = 0.0
     monitor = Monitor(HealthSettings.of(Motor, PERIOD_OTHER_PLANT))
     refusals = Refusals(monitor.settings, 5)
     for k, reference in enumerate(np.repeat([50.0, 120.0, 80.0, -150.0, 100.0, 130.0, 60.0, 110.0], 200)):
         broken = kind if k >= BROKEN else ""
         if broken != "frozen":
             y = 700.0 if broken == "off" else read(truth, states) + random.normal(0.0, 0.2)
-        u, load = pid.step(float(reference), y)[0], 0.02 * np.sin(k / 200)
+        u = pid.step(float(reference), y)[0]
+        load = 0.02 * np.sin(k / 200)
         known = truth if k >= matched else None
         sample = Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,))
         if known is not None:

@@ -82,9 +82,11 @@ def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> N
 def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() -> None:
     """In one of these the step back comes while the plate heats up, where it hides best."""
     for seed in (4, 5):
-        reference, broken = rig.profile(1000 + seed, 2100), rig.Break("reading+3", 700, 1200)
+        reference = rig.profile(1000 + seed, 2100)
+        broken = rig.Break("reading+3", 700, 1200)
         samples, _ = rig.run(reference, broken, rig=rig.some_rig(seed), seed=seed)
-        monitor, doubts = Monitor(), []
+        monitor = Monitor()
+        doubts = []
         for sample in samples:
             monitor.push(sample)
             doubts.append(monitor.doubt)
@@ -119,7 +121,8 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     for sample in samples:
         assert exact.push(sample) is None or not exact.suspected
     assert exact.level <= 0.5
-    random, rough = np.random.default_rng(1), ChangeDetector(HealthSettings().followed, 1.0)
+    random = np.random.default_rng(1)
+    rough = ChangeDetector(HealthSettings().followed, 1.0)
     wander = np.cumsum(random.normal(0.0, 0.15, len(samples)))
     for sample, off in zip(samples, wander, strict=True):
         rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(off), sample.input))
@@ -129,15 +132,19 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
 def motors(*kinds: str) -> list[Monitor]:
     """Of 500 s of a motor whose load is measured, each changed in another way after 400 s."""
     truth = Motor.model("with friction").parameters(j=4.4e-4, b=1.1e-4, k=0.046)
-    pid, random, period = Controller(Motor.loop), np.random.default_rng(7), Motor.loop.period
-    monitor, reference = Monitor(HealthSettings.of(Motor, period)), random.uniform(-150.0, 150.0, 60)
+    pid = Controller(Motor.loop)
+    random = np.random.default_rng(7)
+    period = Motor.loop.period
+    monitor = Monitor(HealthSettings.of(Motor, period))
+    reference = random.uniform(-150.0, 150.0, 60)
 
     def run(until: float, at: Any, kind: str = "") -> Any:
         k, states, pid, random, monitor = at
         while k * period < until:
             wanted = float(reference[k // 200])
             y = read(truth, states) + random.normal(0.0, 0.2)
-            u, load = pid.step(wanted, y)[0], 0.02 * np.sin(k / 200)
+            u = pid.step(wanted, y)[0]
+            load = 0.02 * np.sin(k / 200)
             monitor.push(Sample(k, k, wanted, y, u, (load,)))
             unseen = 0.005 if kind == "load" else 0.0
             share = 0.75 if kind == "weak" else 1.0
@@ -169,7 +176,8 @@ def test_roles_and_the_structure_to_be_followed_are_checked() -> None:
 class Stronger:
     """A supply that is first far too strong, then less so."""
 
-    kind, start = "", 500
+    kind = ""
+    start = 500
 
     def on(self, k: int) -> bool:
         self.kind = "supply*1.6" if k < 1000 else "supply*1.25"

@@ -60,7 +60,8 @@ def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more
     """The sample with another output or input of one channel."""
     values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
     values[signal][channel] = factor * values[signal][channel] + more
-    given, read = tuple(values["inputs"]), tuple(values["outputs"])
+    given = tuple(values["inputs"])
+    read = tuple(values["outputs"])
     return Sample(sample.index, sample.stamp, sample.references, read, given)
 
 
@@ -85,7 +86,8 @@ def test_a_lost_heater_is_named_with_its_channel() -> None:
 
 
 def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> None:
-    samples, at = recorded("tclab_2x2", "prbs_open_loop"), 2500
+    samples = recorded("tclab_2x2", "prbs_open_loop")
+    at = 2500
     monitor = watched(samples, at)
     assert monitor.alarms == ()
     for sample in islice(samples, 6):
@@ -94,7 +96,9 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
     assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
     assert at <= alarm.flagged <= at + 5
     assert abs(alarm.size + 5.0) < 0.5
-    through, off, inside = monitor.competition.through, [], []
+    through = monitor.competition.through
+    off = []
+    inside = []
     assert list(through) == [1]
     for sample in islice(samples, 900):
         monitor.push(changed(sample, "outputs", 1, more=-5.0))
@@ -113,7 +117,8 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
 
 def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:
     """From then on the table has twice the power that reached the heater of a real closed loop."""
-    samples, at = recorded("tclab_2x2", "closed_loop_lqg"), 2500
+    samples = recorded("tclab_2x2", "closed_loop_lqg")
+    at = 2500
     monitor = watched(samples, at)
     assert monitor.alarms == ()
     for sample in islice(samples, 90):
@@ -141,7 +146,8 @@ def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
     often one looks (Ville). More than the quantile below would come once in ten thousand times."""
     highest = []
     for seed in range(100, 112):
-        competition, best = Competition(typical(), 1.0), -math.inf
+        competition = Competition(typical(), 1.0)
+        best = -math.inf
         for sample in run(seed, "nothing", 250):
             competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
             best = max([best, *(one.evidence for one in competition.found() if one.row.number)])
@@ -213,7 +219,8 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
 def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> None:
     """The parameters of a kit are not known in its first quarter of an hour; later estimates are better."""
     monitor = ChannelMonitor(typical(), 1.0)
-    sums, numbers = [], []
+    sums = []
+    numbers = []
     for sample in islice(run(21, "nothing"), 1520):
         monitor.push(sample)
         rehearsal = monitor.competition._rehearsals[0]

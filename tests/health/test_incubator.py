@@ -79,7 +79,8 @@ def test_nothing_is_reported_in_a_published_run(incubator_folder: Path, name: st
 def test_every_lid_is_reported_until_it_is_closed(incubator_folder: Path, name: str) -> None:
     """Two, and four within two hours. The parameters of this hardware are others; the monitor learns them in
     the minutes before, and an open lid neither spoils them nor counts against them."""
-    window, events = read_run(incubator_folder, name), read_events(incubator_folder, name)
+    window = read_run(incubator_folder, name)
+    events = read_events(incubator_folder, name)
     alarms = watch(samples_of(window))
     assert [a.fault for a in alarms] == [Fault.LOSSES_CHANGED] * (events.size // 2)
     for alarm, (opened, closed), later in zip(
@@ -168,7 +169,8 @@ def test_ten_equal_readings_of_a_noisy_camera_are_not_a_coincidence() -> None:
 
 
 def test_a_coarse_camera_may_repeat_itself() -> None:
-    random, repeats = np.random.default_rng(8), Repeats(1.0, 10.0, NOISE)
+    random = np.random.default_rng(8)
+    repeats = Repeats(1.0, 10.0, NOISE)
     readings = np.round(random.normal(40.0, 0.1, 3000) * 2) / 2  # half a degree: nearly always the same
     longest = 0
     for change in np.diff(readings):

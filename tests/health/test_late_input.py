@@ -25,7 +25,8 @@ def kit(delay: int, seed: int, size: int = 480, lost: int = 1_000_000) -> list[S
     typical = TCLab.model("sensor lag").typical()
     moved = {n: typical[n] * random.uniform(0.85, 1.15) for n in ("losses", "heating", "sensor_lag")}
     plant = typical.replace(**moved, ambient=random.uniform(291.0, 298.0))
-    states, power = begin(plant, plant["ambient"] - 273.15), list[float]()
+    states = begin(plant, plant["ambient"] - 273.15)
+    power = list[float]()
     while len(power) < size:
         power += [float(random.uniform(0.0, 100.0))] * int(random.integers(8, 30))
     samples = []
@@ -114,7 +115,8 @@ def test_an_input_at_rest_is_the_same_however_late() -> None:
 
 def test_what_a_late_input_explains_is_not_a_change() -> None:
     """Without this rival, a dead time of a rig looks like a shift after 1009 s and like a push after 2539."""
-    plant, monitor = AbroadPlant(KINDS["rig"], 500), Monitor(HealthSettings.of(Peltier, 1.0))
+    plant = AbroadPlant(KINDS["rig"], 500)
+    monitor = Monitor(HealthSettings.of(Peltier, 1.0))
     assert plant.lacks == ("dead time",)
     for sample in plant.run(2600):
         monitor.push(sample)
@@ -124,7 +126,8 @@ def test_what_a_late_input_explains_is_not_a_change() -> None:
 def test_a_jump_that_a_late_input_explains_is_plausible() -> None:
     """A motor is reversed, and turns a tenth of a second later: its file says at once."""
     kind = KINDS["motor"]
-    plant, settings = AbroadPlant(kind, 503), HealthSettings.of(kind.plant, kind.period)
+    plant = AbroadPlant(kind, 503)
+    settings = HealthSettings.of(kind.plant, kind.period)
     assert "dead time" in (plant.lacks or ())
     refusals = Refusals(settings, longest=5)
     settled = [refusals.settle(sample) for sample in plant.run(4300)]

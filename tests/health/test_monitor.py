@@ -157,7 +157,8 @@ def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults()
 class Worsening:
     """A drive that gets half its supply first and none afterwards."""
 
-    kind, start = "", 400
+    kind = ""
+    start = 400
 
     def on(self, k: int) -> bool:
         self.kind = "supply*0.5" if k < 500 else "drive-lost"
@@ -209,7 +210,9 @@ def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(told: bool) ->
     """The output was zero because the guard put it there, and the controller's samples say so."""
     reference = np.repeat([40.0, 70.0, 45.0], 250)
     held = range(260, 420)
-    loop, states, samples = Loop(Peltier), begin(RIG(), 25.0), []
+    loop = Loop(Peltier)
+    states = begin(RIG(), 25.0)
+    samples = []
     noise = np.random.default_rng(3).normal(0.0, 0.1, reference.size)
     for k, level in enumerate(reference.tolist()):
         loop.held = told and k in held

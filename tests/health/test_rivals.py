@@ -19,7 +19,9 @@ from twinmatch.plants import TCLab
 from twinmatch.signals import FloatArray, Sample
 
 KIT = TCLab.model("sensor lag").typical()
-SIZE, STEP, START = 64, 12, begin(KIT, 69.0)
+SIZE = 64
+STEP = 12
+START = begin(KIT, 69.0)
 """It rests at 69 °C under 60 %."""
 ROWS = np.tile(KIT.model.disturbances, (SIZE, 1))
 
@@ -42,7 +44,8 @@ def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
     the same as a lost drive at one power."""
     for seed in range(30):
         draw = np.random.default_rng(seed)
-        onset, size = int(draw.integers(8, 30)), float(draw.choice([-1.0, 1.0]))
+        onset = int(draw.integers(8, 30))
+        size = float(draw.choice([-1.0, 1.0]))
         given = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
         came = readings(cause, onset, size, given, seed)
         effects = effects_of_causes(KIT, START, given, came, rows=ROWS, period=1.0)
@@ -137,10 +140,12 @@ def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:
 @pytest.mark.parametrize(("kind", "named"), [("kit", False), ("rig", True)])
 def test_readings_that_creep_are_doubted_until_they_step_back(kind: str, named: bool) -> None:
     """6 °C within five minutes; on a kit a warmer room explains that as well, on this rig nothing does."""
-    seed, of = 2 * named, KINDS[kind]
+    seed = 2 * named
+    of = KINDS[kind]
     when = Order(kind, seed, 0.0, ("reading~6",), alone=True).onset("reading~6")
     plant = AbroadPlant(of, seed, (), (150.0, 400.0), closed=True, mishap=when)
-    monitor, doubts = Monitor(HealthSettings.of(of.plant)), []
+    monitor = Monitor(HealthSettings.of(of.plant))
+    doubts = []
     for sample in islice(plant.run(when.stop + 100), when.stop + 100):
         monitor.push(sample)
         doubts.append(monitor.doubt)

@@ -26,7 +26,8 @@ NOISE = 0.1
 
 
 def alarms(samples: list[Sample], settings: HealthSettings) -> tuple[Alarm, ...]:
-    monitor, refusals = Monitor(settings), Refusals(settings, 5)
+    monitor = Monitor(settings)
+    refusals = Refusals(settings, 5)
     for sample in samples:
         monitor.push(refusals.settle(sample))
     return monitor.alarms
@@ -75,7 +76,8 @@ squares = st.floats(0.0, 10.0)
 def test_what_is_earned_depends_on_no_unit(forecasts: list[tuple[float, float]], unit: float) -> None:
     plain = scaled = Record()
     for error, moved in forecasts:
-        plain, scaled = plain.after(error, moved), scaled.after(unit * error, unit * moved)
+        plain = plain.after(error, moved)
+        scaled = scaled.after(unit * error, unit * moved)
     limit = 0.25 * plain.moved - plain.error
     if abs(limit) > 1e-9 and abs(plain.moved - (20.0 * NOISE) ** 2) > 1e-9:
         assert plain.earned(NOISE) == scaled.earned(unit * NOISE)

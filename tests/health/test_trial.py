@@ -44,8 +44,11 @@ class RoomOnTrial(Plant, name="room_on_trial"):
     outside = Disturbance(unit="°C", default=5.0)
     air = State(unit="°C", span=(-20.0, 120.0))
     wall = State(unit="°C", span=(-20.0, 120.0), start_bounds=(0.0, 40.0))
-    capacity, mass = bounded(1e6), bounded(5e6)
-    losses, surface, shell = bounded(20.0, "losses"), bounded(100.0), bounded(20.0)
+    capacity = bounded(1e6)
+    mass = bounded(5e6)
+    losses = bounded(20.0, "losses")
+    surface = bounded(100.0)
+    shell = bounded(20.0)
     structures = {  # noqa: RUF012
         "air": Structure(free=("capacity", "losses")),
         "air and walls": Structure(
@@ -80,7 +83,10 @@ GOOD = TRUTH.replace(capacity=8.3e5, losses=12.6, surface=145.0)
 @cache
 def week(*, opened: bool, stuck: range = range(0)) -> list[Sample]:
     """Under a thermostat; a sensor may be `stuck` for a while."""
-    random, states, heats, found = np.random.default_rng(3), np.array([19.0, 17.0]), False, list[Sample]()
+    random = np.random.default_rng(3)
+    states = np.array([19.0, 17.0])
+    heats = False
+    found = list[Sample]()
     for k in range(7 * DAY):
         hour = k * 24 / DAY % 24
         outdoor = 5.0 + 5.0 * math.sin(2 * math.pi * (hour - 9) / 24) + 3.0 * math.sin(2 * math.pi * k / 700)
@@ -95,12 +101,10 @@ def week(*, opened: bool, stuck: range = range(0)) -> list[Sample]:
 
 def judged(samples: Iterable[Sample], *given: tuple[int, Parameters]) -> tuple[Monitor, list[Health]]:
     """What a monitor says that is given twins, each from a sample on."""
-    monitor, twins, twin, said = (
-        Monitor(HealthSettings.of(RoomOnTrial, PERIOD)),
-        dict(given),
-        None,
-        list[Health](),
-    )
+    monitor = Monitor(HealthSettings.of(RoomOnTrial, PERIOD))
+    twins = dict(given)
+    twin = None
+    said = list[Health]()
     for sample in samples:
         twin = twins.get(sample.index, twin)
         said.append(monitor.push(sample, twin))

@@ -349,10 +349,12 @@ def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], w
     means = signal.means(time, np.inf)
     total = 0.0
     edges = [*[at for at in sorted(held) if 0.0 < at < time[-1]], time[-1]]
-    at, value = 0.0, held[max(t for t in held if t <= 0.0)]
+    at = 0.0
+    value = held[max(t for t in held if t <= 0.0)]
     for edge in edges:
         total += value * (edge - at)
-        at, value = edge, held.get(edge, value)
+        at = edge
+        value = held.get(edge, value)
     assert float(np.sum(means[:-1] * np.diff(time))) == pytest.approx(total, abs=1e-6)
 
 

@@ -94,7 +94,8 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
     back: float, storage: StoragePlugin, tmp_path: Path, plant: type[Plant]
 ) -> None:
     """Sorted by time, a third of the readings vanished, or those of both stretches alternated."""
-    made, half = list(SETPOINT), ROWS // 2 * STEP
+    made = list(SETPOINT)
+    half = ROWS // 2 * STEP
     for at, reading in ticks():
         made += loop(at if at < half else at - back, reading)
     source = bag_of(tmp_path / "bag", made, storage)
@@ -156,7 +157,8 @@ def test_a_table_whose_clock_goes_back_is_split_or_refused_too(
 
 
 def test_rows_in_no_order_are_not_stretches(tmp_path: Path, plant: type[Plant]) -> None:
-    table, order = tmp_path / "log.csv", np.random.default_rng(3).permutation(60)
+    table = tmp_path / "log.csv"
+    order = np.random.default_rng(3).permutation(60)
     table.write_text("\n".join(["time,output,input", *(f"{k},{k},{k}" for k in order)]), "utf-8")
     with pytest.raises(RecordingError, match="sort the rows, and keep one per time"):
         map_samples(
@@ -192,7 +194,8 @@ def test_a_hole_in_the_messages_of_an_input_is_a_gap(
 def test_an_input_that_is_published_when_it_changes_applies_until_then(
     tmp_path: Path, plant: type[Plant]
 ) -> None:
-    made, changes = list(SETPOINT), {0: 10.0, 3: 80.0, 7: 0.0, 8: 5.0, 9: 90.0, 11: 0.0, 14: 50.0, 100: 20.0}
+    made = list(SETPOINT)
+    changes = {0: 10.0, 3: 80.0, 7: 0.0, 8: 5.0, 9: 90.0, 11: 0.0, 14: 50.0, 100: 20.0}
     for k, (at, reading) in enumerate(ticks()):
         made += loop(at, reading)[:1]
         if k in changes:

@@ -79,7 +79,8 @@ def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
         RecordingError, match=r"first_power is 300 % \(and in 2 more\), beyond the limits of its"
     ):
         mapped(tmp_path, Heaters, TWO, [*OF_TWO[:3], "first_power=Q1; offset=290", OF_TWO[4]])
-    plant, session = Path(exchanging.__file__), tmp_path / "two"
+    plant = Path(exchanging.__file__)
+    session = tmp_path / "two"
     made = run_twinmatch("import", written(tmp_path, TWO), "--plant", plant, "--map", *closed, "-o", session)
     assert made.returncode == 0, made.stderr
     assert read_session(session).samples == found.samples
@@ -168,7 +169,8 @@ def test_times_and_titles_that_loggers_get_wrong_have_one_message(
 def test_a_drive_may_be_called_output(tmp_path: Path) -> None:
     path = plant_file(tmp_path, "heated_by_output")
     path.write_text(path.read_text().replace("heater", "output"))
-    plant, table = find_plant(str(path)), tmp_path / "log.csv"
+    plant = find_plant(str(path))
+    table = tmp_path / "log.csv"
     table.write_text("time,temperature,output\n0,20,0\n1,21,50\n2,22,50\n")
     maps = SignalMap(), parse_map(["output=temperature", "input=output"])
     for given_map in maps:

@@ -46,7 +46,8 @@ def check_small(window):
 
 def test_the_rig_recordings_are_read_to_the_last_bit(recordings, recorded_hour):
     for number, path in recordings.items():
-        window, plain = read_recording(path), recorded_hour(number)
+        window = read_recording(path)
+        plain = recorded_hour(number)
         assert window.period == 1.0
         for name in ("reference", "output", "input"):
             assert np.array_equal(getattr(window, name), getattr(plain, name))

@@ -18,7 +18,8 @@ from twinmatch.sessions.files import RecordingError
 
 def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
     rng = np.random.default_rng(0)
-    y, u = rng.normal(size=50), rng.normal(size=50)
+    y = rng.normal(size=50)
+    u = rng.normal(size=50)
     time = 1608572942.72 + 3.0 * np.arange(50) + rng.uniform(-1e-4, 1e-4, 50)
     found = resample(time, {"y": y, "u": u}, {"y": "reading", "u": "held"})
     assert found.period == 3.0
@@ -50,7 +51,8 @@ def test_the_period_is_the_mean_of_steps_that_lost_no_row():
 
 
 def test_a_slow_clock_is_kept_and_a_shaky_one_rounded():
-    regular, shaky = 1.0015 * np.arange(60), 1.0015 * np.arange(60) + np.tile([0.0, 0.01], 30)
+    regular = 1.0015 * np.arange(60)
+    shaky = 1.0015 * np.arange(60) + np.tile([0.0, 0.01], 30)
     assert resample(regular, {}, {}).period == 1.0015
     assert resample(shaky, {}, {}).period == 1.0
 
@@ -132,7 +134,8 @@ def test_a_gap_splits_where_that_is_asked_for():
 )
 def test_each_stretch_is_what_it_is_alone(parts, gap, seed):
     """Nothing of the rows beyond a gap enters a stretch, and no index follows another across one."""
-    pieces, start = [], 0.0
+    pieces = []
+    start = 0.0
     for steps in parts:
         pieces.append(start + np.concatenate([[0.0], np.cumsum(steps)]))
         start = pieces[-1][-1] + gap

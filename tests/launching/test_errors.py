@@ -47,7 +47,8 @@ def test_an_error_is_shown_once_while_it_stands(told: Told) -> None:
 
 
 def test_of_a_report_only_what_is_new_is_shown_and_of_several_nodes_the_first(told: Told) -> None:
-    first, second = "refused: /s: sample 3 has 0 outputs; give one", "refused: /s: its time is negative"
+    first = "refused: /s: sample 3 has 0 outputs; give one"
+    second = "refused: /s: its time is negative"
     assert told.take("a: health", first) == [f"a: health: {first}"]
     assert told.take("a: health", f"{first}; {second}") == [f"a: health: {second}"]
     assert told.take("b: health", f"{second}; {first}") == []
@@ -63,7 +64,8 @@ def test_what_is_shown_is_one_printable_line_of_bounded_length(told: Told) -> No
 
 def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(told: Told) -> None:
     """1,152 messages without meaning, each refused by eleven nodes, were 123 kB."""
-    drawn, nodes = Nonsense(seed=27), {f"node_{k}": NodeHealth() for k in range(11)}
+    drawn = Nonsense(seed=27)
+    nodes = {f"node_{k}": NodeHealth() for k in range(11)}
     entrances = [Entrance(None, health) for health in nodes.values()]  # type: ignore[arg-type] # no DDS is asked
     for k in range(1152):
         kind = list(MESSAGES)[k % len(MESSAGES)]

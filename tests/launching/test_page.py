@@ -261,7 +261,9 @@ def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]
 
 def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
     """Samples wait until all verdicts before them have come, which may be late."""
-    found, samples, verdicts = untaught.judged(), untaught.spiked(), list(untaught.judged().verdicts)
+    found = untaught.judged()
+    samples = untaught.spiked()
+    verdicts = list(untaught.judged().verdicts)
     live = Live(LivePlan(Path("rig.yaml")))
     live.door = Door.of(untaught.settings())
     for sample in samples:
@@ -283,7 +285,8 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
 ) -> None:
     samples, verdicts = judged
     holed = [s for s in samples if s.index not in {300, 301, *range(900, 906)}]
-    settings, law = TwinSettings(), None
+    settings = TwinSettings()
+    law = None
     for given in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
         live.door = Door.of(settings)

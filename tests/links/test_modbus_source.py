@@ -91,7 +91,8 @@ class ServedOven:
             words[5] = round(100 * heater)
 
     def device(self) -> SimDevice:
-        bits, words = [True, False, False, True] * 8, [7, 0, 16968, 65535, 0, 0, 0, 0]
+        bits = [True, False, False, True] * 8
+        words = [7, 0, 16968, 65535, 0, 0, 0, 0]
         tables = (
             [SimData(0, values=bits, datatype=DataType.BITS)],
             [SimData(0, values=bits[::-1], datatype=DataType.BITS)],
@@ -107,8 +108,10 @@ class RunningDevice:
     def __init__(
         self, make: Callable[[SimDevice, Any], ModbusBaseServer], device: SimDevice, url: str
     ) -> None:
-        self.url, self.codes = url, set[int]()
-        self._make, self._device = make, device
+        self.url = url
+        self.codes = set[int]()
+        self._make = make
+        self._device = device
         self.start()
 
     def start(self) -> None:
@@ -168,7 +171,8 @@ def device(oven: ServedOven) -> Iterator[RunningDevice]:
 @pytest.fixture
 def line(oven: ServedOven) -> Iterator[RunningDevice]:
     """The same behind two pseudo-terminals, whose other sides pass on what each receives."""
-    (ours, our_end), (theirs, their_end) = pty.openpty(), pty.openpty()
+    ours, our_end = pty.openpty()
+    theirs, their_end = pty.openpty()
     for end in (our_end, their_end):
         tty.setraw(end)
     halt, halted = os.pipe()

@@ -68,7 +68,8 @@ class InStep:
         given: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
         given |= {"plant": plant, "period": period, "source": broker.url}
         values = check("sampler", *understood("sampler", given))
-        self.now, self._step = BEGIN, round(period * NANOSECONDS)
+        self.now = BEGIN
+        self._step = round(period * NANOSECONDS)
         self.listener: SignalListener = listener_of("sampler", values, lambda: self.now)
         rig = Broker.parse(broker.url.partition("?")[0])
         self.rig = rig.connected(lambda _: None)
@@ -79,7 +80,8 @@ class InStep:
         self.rig.on_publish = lambda _client, _data, mid, *_: self._acknowledge(mid)
         # amqtt loses a client that is still joining when another one subscribes.
         self.publish("oven/ping", "1")
-        opened, self.received = source_of(values), 0
+        opened = source_of(values)
+        self.received = 0
         assert opened is not None
 
         def open_counting(channels: list[Channel], receive: Receive) -> Source:
@@ -97,8 +99,10 @@ class InStep:
 
     def subscribed(self) -> None:
         """Wait until what is sent arrives: what is sent before the subscription stands is lost."""
-        payload_of, mark = self._mark or repr, 1000.0
-        newest, before = self.listener.sampler.newest, self.received
+        payload_of = self._mark or repr
+        mark = 1000.0
+        newest = self.listener.sampler.newest
+        before = self.received
 
         def arrives() -> bool:
             nonlocal mark
@@ -163,7 +167,9 @@ def said(wanted: float, reading: float, duty: float) -> dict[str, str | bytes]:
 def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
     stepped: InStep, plant: Path
 ) -> None:
-    oven, samples, done = Oven(PERIOD, HOLD), [], []
+    oven = Oven(PERIOD, HOLD)
+    samples = []
+    done = []
     for number in range(3 * HOLD):
         done.append(oven.step())
         samples += stepped.tick(number, said(*done[-1]))
@@ -237,7 +243,8 @@ def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
 
 def test_thousands_of_malformed_messages_end_nothing(stepped: InStep) -> None:
     assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
-    nonsense, before = random.Random(5), stepped.received
+    nonsense = random.Random(5)
+    before = stepped.received
     for k in range(2_000):
         payload = nonsense.randbytes(nonsense.randint(0, 40)) if k % 3 else b'{"t": {"now": "unavailable"}}'
         stepped.rig.publish("oven/room", payload, 0)

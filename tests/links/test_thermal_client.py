@@ -405,9 +405,11 @@ def test_pixels_at_the_ends_of_the_range_do_not_count() -> None:
 
 @given(hnp.arrays(np.uint16, (6, 8), elements=st.integers(1, 65534)), st.data())
 def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObject) -> None:
-    row, column = data.draw(st.integers(0, 5)), data.draw(st.integers(0, 7))
+    row = data.draw(st.integers(0, 5))
+    column = data.draw(st.integers(0, 7))
     roi = Region(row, column, data.draw(st.integers(1, 6 - row)), data.draw(st.integers(1, 8 - column)))
-    whole, part = region(exposure(image)), region(exposure(image), roi)
+    whole = region(exposure(image))
+    part = region(exposure(image), roi)
     assert whole.minimum <= part.minimum <= part.maximum <= whole.maximum
     assert part.pixels == roi.rows * roi.columns
     # Popoviciu: no variance exceeds a quarter of the spread squared.

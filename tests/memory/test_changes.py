@@ -41,7 +41,8 @@ def test_what_has_changed_on_simulated_rigs_is_named_and_nothing_else():
         for seed in range(10):
             found = told_of(lived_rig(seed, kind))
             told.setdefault(kind, []).append((lived_rig(seed, kind), found))
-            looks, false = looks + found.looks, false + found.false
+            looks = looks + found.looks
+            false = false + found.false
     assert false <= 0.02 * looks
     steps = [(rig, one) for rig, one in told["step"] if one.first is not None]
     assert sum(one.first - rig.since <= 2 for rig, one in steps) >= 8

@@ -122,7 +122,8 @@ def test_lost_samples_count_nowhere():
     seen[1000:1010] = seen[2500:2504] = False
     outputs = np.where(seen, window.output, 500.0)
     with_gaps = replace(window, outputs=outputs, seen=seen)
-    learned, whole = of_structure(lessons_of(judged(with_gaps))), of_structure(of_hour(4))
+    learned = of_structure(lessons_of(judged(with_gaps)))
+    whole = of_structure(of_hour(4))
     assert learned.samples == 3586
     assert learned.outputs[0][1] < 100.0
     assert np.all(np.abs(learned.values - whole.values) < whole.deviations)

@@ -57,7 +57,8 @@ def test_first_comes_the_centre_of_the_structure_that_led_then_twins_then_other_
 def test_a_session_far_off_pulls_neither_centre_nor_spread() -> None:
     alike = [taught(k, conductance=1.0 + 0.01 * (k % 3 - 1)) for k in range(1, 10)]
     odd = [*alike[:-1], taught(9, conductance=0.4)]
-    (usual, *_), (pulled, *_) = start_from(alike, Peltier), start_from(odd, Peltier)
+    usual, *_ = start_from(alike, Peltier)
+    pulled, *_ = start_from(odd, Peltier)
     assert abs(pulled.parameters["conductance"] / usual.parameters["conductance"] - 1.0) <= 0.01
     place = FREE.index("conductance")
     # It counts like the expected spread, which counts as one session.

@@ -162,7 +162,8 @@ def test_other_programs_read_it(tmp_path):
 
 
 def test_a_killed_writer_leaves_complete_sessions_only(tmp_path):
-    path, draw = tmp_path / "rig.sqlite", random.Random(4)
+    path = tmp_path / "rig.sqlite"
+    draw = random.Random(4)
     for attempt in range(4):
         program = writer(path, 1000 * attempt, 1000)
         time.sleep(draw.uniform(0.0, 0.3))

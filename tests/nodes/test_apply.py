@@ -39,7 +39,8 @@ class Operator:
     """Calls one of the services."""
 
     def __init__(self, listener: Listener, kind: Any, name: str) -> None:
-        self._listener, self._client = listener, listener.node.create_client(kind, name)
+        self._listener = listener
+        self._client = listener.node.create_client(kind, name)
         self._kind = kind
 
     def __call__(self, bench: Bench | None = None, **fields: Any) -> Any:
@@ -70,7 +71,8 @@ def law(bench: Bench, half: float = 2.0, **fields: Any) -> dict[str, Any]:
 def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Listener) -> None:
     """There is no twin, and no node but the controller: the readings decide. Before it, what it refuses;
     after it, the operator takes another one back."""
-    bench, operator = Bench(listener), Operator(listener, ApplyLaw, "plant/apply_law")
+    bench = Bench(listener)
+    operator = Operator(listener, ApplyLaw, "plant/apply_law")
     reports = listener.hear(messages.LawReport, "plant/law", LATCHED)
     bench.temperature = 40.0
     start("controller", *CALM, "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[1000.0]")

@@ -110,7 +110,8 @@ def test_an_emulated_lepton_is_seen(start_process: Start, camera: Camera, ears: 
     assert np.median(gaps) > 0.05  # the camera's own pace of 9 Hz; it makes up for what a busy machine delays
     # The corners of the plate are 2 % of the excess colder, each pixel has its noise.
     assert 0.7 < ears.spreads[-1].data < 1.7
-    raw, degrees = ears.raw[-1], ears.degrees[-1]
+    raw = ears.raw[-1]
+    degrees = ears.degrees[-1]
     assert (raw.encoding, degrees.encoding) == ("mono16", "32FC1")
     assert raw.header.frame_id == "thermal_camera"
     counts = np.frombuffer(bytes(raw.data), "<u2").reshape(60, 80)
@@ -137,7 +138,8 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
     told = {stamp_of(message) for message in ears.temperatures}
     assert not closed & told
     assert closed <= {stamp_of(image) for image in ears.raw} | {max(closed)}
-    first, last = min(told), max(told)
+    first = min(told)
+    last = max(told)
     assert any(first < stamp < last for stamp in closed)
     gaps = np.diff(sorted(told))
     assert gaps.max() > 0.8
@@ -213,7 +215,8 @@ class Liar:
 
     def _run(self) -> None:
         lepton = EmulatedLepton(LeptonSettings(flat_field_period=1000.0))
-        start, number = time.monotonic(), 0
+        start = time.monotonic()
+        number = 0
         while not self._ending.is_set():
             try:
                 client = self._listener.accept()[0]

@@ -39,7 +39,8 @@ class Run:
     """Player, twin and recorder, and what is received of them."""
 
     def __init__(self, start: Start, listener: Listener, session: Path, folder: Path) -> None:
-        self.listener, self._start = listener, start
+        self.listener = listener
+        self._start = start
         self.scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
         self.matches = listener.hear(Match, "twin/match", EVERYTHING)
         self.states = listener.hear(TwinState, "twin/state", EVERYTHING)
@@ -119,7 +120,8 @@ class Run:
             assert len(expected) - len(said) <= shots
         last = steps[-1].index
         self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
-        told, foretold = [s.index for s in self.states], [f.sample for f in self.forecasts]
+        told = [s.index for s in self.states]
+        foretold = [f.sample for f in self.forecasts]
         if shots == 0:
             assert told == [sample.index for sample in steps]
             assert foretold == list(range(foretold[0], last + 1))
@@ -152,7 +154,8 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
     begin: Callable[[list[Sample]], Run], steps: list[Sample], offline: list[Outcome]
 ) -> None:
     """Every session of a killed recorder verifies from its beginning; the last one has everything."""
-    played, said = steps[:LENGTH], offline[:LENGTH]
+    played = steps[:LENGTH]
+    said = offline[:LENGTH]
     run = begin(played)
     for index in sorted(TWIN_KILLED + RECORDER_KILLED):
         run.until_state(index)

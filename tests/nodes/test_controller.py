@@ -89,7 +89,8 @@ def test_samples_are_steps_of_the_pid(start: Start, bench: Bench) -> None:
     for before, after in pairwise(samples):
         if after.index != before.index + 1:
             continue  # a tick was missed on a busy machine
-        error, error_before = after.reference - after.output, before.reference - before.output
+        error = after.reference - after.output
+        error_before = before.reference - before.output
         if abs(before.input) < 255 and abs(after.input) < 255:
             change = (
                 gains.proportional * (error - error_before) + gains.period * gains.integral * error_before

@@ -103,7 +103,8 @@ def same(found: Any, expected: Any) -> None:
     """Equal field by field, arrays by value and shape, NaN equal to NaN."""
     assert type(found) is type(expected)
     for field in dataclasses.fields(expected):
-        value, wanted = getattr(found, field.name), getattr(expected, field.name)
+        value = getattr(found, field.name)
+        wanted = getattr(expected, field.name)
         if isinstance(wanted, np.ndarray):
             np.testing.assert_array_equal(value, wanted, strict=True)
         else:
@@ -162,7 +163,8 @@ def test_match(report: MatchReport, stamp: int) -> None:
 
 @st.composite
 def requests(draw: st.DrawFn) -> MatchRequest:
-    size, wide = draw(st.integers(1, 5)), draw(st.integers(0, 2))
+    size = draw(st.integers(1, 5))
+    wide = draw(st.integers(0, 2))
     finite = st.floats(allow_nan=False, allow_infinity=False)
     row = st.lists(finite, min_size=size, max_size=size)
     disturbances = draw(st.lists(finite, min_size=size * wide, max_size=size * wide))

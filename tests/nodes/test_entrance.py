@@ -228,14 +228,16 @@ class ClockCourse(Course):
         self.others = Publishers()
         super().__init__(MESSAGES[Clock].departs, self.others, owned=True)
         self.second = self.seen
-        self.now, self._several = 1000.0, False
+        self.now = 1000.0
+        self._several = False
 
     def meet(self, *there: bytes) -> None:
         self.others.there = frozenset(there)
         self._several = True
 
     def seen(self) -> bool:
-        seen, self._several = self._several, len(self.others.there) > 1
+        seen = self._several
+        self._several = len(self.others.there) > 1
         return seen
 
     def passed(self, *times: float) -> list[float]:
@@ -316,7 +318,8 @@ def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: List
 
     goes_on()
     for _ in range(10):
-        forger, before = listener.node.create_publisher(Clock, "/clock", 10), refused()
+        forger = listener.node.create_publisher(Clock, "/clock", 10)
+        before = refused()
         listener.spin_until(forger.get_subscription_count, "the simulator")
         for k in range(3):
             forger.publish(time_of(forged + k))
@@ -417,10 +420,13 @@ class Beside:
     """Publishes on every topic that a program reads, and asks all its services."""
 
     def __init__(self, program: Inside, listener: Listener) -> None:
-        self._program, self._listener = program, listener
-        self.topics, self.services = receiving(program), serving(program)
+        self._program = program
+        self._listener = listener
+        self.topics = receiving(program)
+        self.services = serving(program)
         qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        publisher, client = listener.node.create_publisher, listener.node.create_client
+        publisher = listener.node.create_publisher
+        client = listener.node.create_client
         self.writers = {name: publisher(kind, name, qos) for name, kind in self.topics.items()}
         self.clients = [client(kind, name) for name, kind in self.services.items()]
         self._answers: list[Any] = []
@@ -454,7 +460,8 @@ class Beside:
 @pytest.mark.parametrize("program", PROGRAMS, indirect=True)
 def test_nonsense_on_every_topic_and_service_ends_nothing(program: Inside, listener: Listener) -> None:
     """Every program continues and says what it refused."""
-    beside, drawn = Beside(program, listener), Nonsense(18)
+    beside = Beside(program, listener)
+    drawn = Nonsense(18)
     assert beside.topics
     assert beside.services
     assert {kind for kind in beside.topics.values() if kind not in MESSAGES} == set()
@@ -475,7 +482,8 @@ def test_malformed_bytes_on_every_topic_end_nothing(
     program: Inside, listener: Listener, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Nor does rclpy write about them."""
-    beside, drawn = Beside(program, listener), Nonsense(27)
+    beside = Beside(program, listener)
+    drawn = Nonsense(27)
     (*_, client) = (client for client in beside.clients if client.srv_type is DescribeParameters)
     for _ in range(-(-MALFORMED // len(beside.topics))):
         for name, writer in beside.writers.items():

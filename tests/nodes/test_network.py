@@ -81,7 +81,8 @@ def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.M
     for name, profile in PROFILES.items():
         made = Path(environment[name])
         assert made.is_relative_to(tmp_path)
-        found, text = made.read_text(), profile.read_text()
+        found = made.read_text()
+        text = profile.read_text()
         assert found == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<") != text
     with pytest.raises(NetworkError, match="is 'long'; give whole seconds"):
         prepare({"AMENT_PREFIX_PATH": "/nowhere", LEASE: "long"})

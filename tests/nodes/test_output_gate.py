@@ -57,7 +57,8 @@ def kind_of(gate: OutputGate) -> FaultKind | None:
 
 
 def test_simulated_time_that_moves_wakes_who_waits_at_the_gate() -> None:
-    gate, clock = OutputGate(Clocks()), ROSClock()
+    gate = OutputGate(Clocks())
+    clock = ROSClock()
     clock._set_ros_time_is_active(True)
     moves = clock.create_jump_callback(EVERY_MOVE, post_callback=gate.wake)
     driver = threading.Thread(target=gate.wait, args=(1e6,), daemon=True)

@@ -146,7 +146,8 @@ FILES: dict[tuple[str, str], tuple[Setting, ...]] = {
 @pytest.mark.parametrize(("name", "section"), FILES)
 def test_section_is_what_its_table_renders(name: str, section: str) -> None:
     """Every parameter is in the file with its description, unit and range, and has its default."""
-    table, text = FILES[name, section], (CONFIG / name).read_text(encoding="utf-8")
+    table = FILES[name, section]
+    text = (CONFIG / name).read_text(encoding="utf-8")
     example = EXAMPLE if section == "sampler" else {}
     assert render(section, table, example) in text
     values = yaml.safe_load(text)[section]["ros__parameters"]
@@ -157,7 +158,8 @@ def test_section_is_what_its_table_renders(name: str, section: str) -> None:
 def test_the_kits_controller_differs_in_its_profile_alone() -> None:
     table = controller_table(TCLab)
     given = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
-    values, usual = check("controller", table, given), check("controller", table, {})
+    values = check("controller", table, given)
+    usual = check("controller", table, {})
     assert profiles_from(values) is not None
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
 
@@ -166,7 +168,8 @@ BOTH = (CONFIG / "tclab_both.yaml").read_text("utf-8")
 
 
 def test_the_file_of_both_heaters_says_all_of_the_controller_and_of_the_bridge_which() -> None:
-    table, given = controller_table(TCLabBoth), yaml.safe_load(BOTH)
+    table = controller_table(TCLabBoth)
+    given = yaml.safe_load(BOTH)
     profile = {
         name: given["controller"]["ros__parameters"][name] for name in ("profile.levels", "profile.holds")
     }
@@ -399,7 +402,8 @@ def test_several_topics_give_their_mean() -> None:
 def test_units_that_messages_have_by_their_definition_are_known() -> None:
     given = {"map.output": "/t", "map.input": "/u"}
     source = sources_of("sampler", check("sampler", *understood("sampler", given)))["output"]
-    kinds, warm = ["sensor_msgs/msg/Temperature"], [parse_channel("/t:temperature")]
+    kinds = ["sensor_msgs/msg/Temperature"]
+    warm = [parse_channel("/t:temperature")]
     assert source.follow("output", "K", warm, kinds).value([20.0]) == pytest.approx(293.15)
     assert source.follow("output", "°C", warm, kinds).value([20.0]) == 20.0
     with pytest.raises(TwinmatchError, match=r"in Pa \(according to sensor_msgs/msg/FluidPressure\)"):

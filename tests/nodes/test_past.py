@@ -187,7 +187,8 @@ def test_no_message_is_written_twice_or_lost_wherever_fetched_and_live_ones_over
 def test_padding_of_a_serialised_verdict_makes_no_difference() -> None:
     """A process that receives a verdict and serialises it again leaves other bytes between its fields."""
     verdict = ModelScore(sample=540, nu_gap_to_plant=float("nan"), reason="it follows")
-    data, values = bytearray(serialize_message(verdict)), repr(verdict)
+    data = bytearray(serialize_message(verdict))
+    values = repr(verdict)
     assert values_of(bytes(data), ModelScore) == values
     # Four bytes of encapsulation, eight of the stamp, four of a length and the end of an empty frame_id.
     for at in (17, 18, 19):

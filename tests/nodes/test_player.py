@@ -160,7 +160,10 @@ def test_recorded_time_passes_at_its_rate_unless_paused(
     rate: float, start: float, story: list[tuple[float, tuple[str, float]]], due: float
 ) -> None:
     """Without a rate it is that of the latest message played; it stands still until it is resumed."""
-    pace, position, paused, now = Pace(rate, start), start, True, 50.0
+    pace = Pace(rate, start)
+    position = start
+    paused = True
+    now = 50.0
     for wait, (what, value) in story:
         now += wait
         position += 0.0 if paused else wait * rate

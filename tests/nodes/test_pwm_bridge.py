@@ -329,7 +329,8 @@ class SimulatedTime:
 
     def __init__(self, rig: Rig, at: float) -> None:
         self._publisher = rig.listener.node.create_publisher(Clock, "/clock", 10)
-        self.now, self.running = at, True
+        self.now = at
+        self.running = True
         self._ending = threading.Event()
         rig.stamp = lambda: round(self.now * 1e9)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -382,7 +383,8 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
     start: Start, rig: Rig, board: StandIn
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
-    rig.pwm, rig.stamp = 120.0, lambda: 0
+    rig.pwm = 120.0
+    rig.stamp = lambda: 0
     rig.until(lambda: "the clock stands still" in rig.warnings(), "the warning")
     rig.stays_at_zero(board)
     assert rig.fault == ""

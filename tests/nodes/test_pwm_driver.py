@@ -288,7 +288,8 @@ def test_what_trips_while_the_board_is_woken_is_heeded(
     stand_in: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stand_in.until(lambda: stand_in.driver.connected)
-    query, command = stand_in.link.query, stand_in.link.command
+    query = stand_in.link.query
+    command = stand_in.link.command
     sent: list[float] = []
 
     def tripping() -> Applied:

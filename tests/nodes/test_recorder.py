@@ -236,7 +236,8 @@ def test_a_killed_recorder_loses_less_than_a_second(
 def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     record: Start, listener: Listener, tmp_path: Path
 ) -> None:
-    mine, other = Rig(listener, "/one/"), Rig(listener, "/two/")
+    mine = Rig(listener, "/one/")
+    other = Rig(listener, "/two/")
     process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
     weather = listener.node.create_publisher(Float64, "/weather", 10)
     listener.spin_until(mine.samples.get_subscription_count, "the recorder")

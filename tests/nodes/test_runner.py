@@ -298,7 +298,8 @@ def shared_memory(process: int) -> set[str]:
 
 def members(group: str) -> Counter[str]:
     """How many sockets of this machine have joined a group, by interface."""
-    name, found = "", Counter[str]()
+    name = ""
+    found = Counter[str]()
     for line in Path("/proc/net/igmp").read_text().splitlines()[1:]:
         fields = line.split()
         if not line.startswith("\t"):

@@ -41,7 +41,8 @@ class Beside:
 
     def __init__(self, processes: Processes, start: Any, listener: Listener, plant: Path) -> None:
         self.listener = listener
-        self._processes, self._start = processes, start
+        self._processes = processes
+        self._start = start
         self._plant = plant
         self.samples: list[LoopSample] = listener.hear(LoopSample, "plant/sample", EVERYTHING)
         self.health = listener.health
@@ -293,7 +294,8 @@ def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Besi
     beside.sampler(paced_by="timer", period="0.13")
     beside.wait_for_samples(60)
     said = rig.json
-    readings, commands = {line[1] for line in said}, [line[2] for line in said]
+    readings = {line[1] for line in said}
+    commands = [line[2] for line in said]
     assert {m.output[0] for m in beside.samples} <= readings
     assert all(min(commands) <= m.input[0] <= max(commands) for m in beside.samples)
     assert not {m.input[0] for m in beside.samples} <= set(commands)

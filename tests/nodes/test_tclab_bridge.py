@@ -83,7 +83,8 @@ def kit(tmp_path: Path) -> Iterator[BenchKit]:
     made.close()
 
 
-ONE, BOTH = ("-p", "plant:=tclab"), ("-p", "plant:=tclab-both")
+ONE = ("-p", "plant:=tclab")
+BOTH = ("-p", "plant:=tclab-both")
 
 
 def bridge(start: Start, kit: BenchKit, *more: str) -> Any:
@@ -182,7 +183,8 @@ def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(
     bridge(start, kit, *BOTH, "-p", "read_through:=T1", "-p", "highest:=60.0")
     scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
     estimates = rig.listener.node.create_publisher(EstimatedReading, "plant/estimate", 10)
-    alive, told = threading.Event(), {"value": 40.0}
+    alive = threading.Event()
+    told = {"value": 40.0}
 
     def feed() -> None:
         if alive.is_set():

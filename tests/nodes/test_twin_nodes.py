@@ -57,9 +57,11 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
     listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
     options = ("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0")
     start_process("player", "-p", f"session:={session}", *options)
-    drawn, rounds = Nonsense(46), iter(range(0, len(steps), 20))
+    drawn = Nonsense(46)
+    rounds = iter(range(0, len(steps), 20))
     beside = {"plant/sample": LoopSample, "twin/match": Match, "twin/match_request": MatchRequest}
-    make, due = listener.node.create_publisher, 0
+    make = listener.node.create_publisher
+    due = 0
     writers = [(make(kind, name, EVERYTHING), kind) for name, kind in beside.items()]
 
     def all_there() -> bool:

@@ -47,7 +47,8 @@ def judged_once(members_of: Callable[..., tuple[TriedTwin, ...]]) -> Iterator[No
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three laws, three exit codes; the answer as JSON, and as a figure."""
-    out, figure = tmp_path / "answer.json", tmp_path / "answer.svg"
+    out = tmp_path / "answer.json"
+    figure = tmp_path / "answer.svg"
     base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
     safe = [*base, "--loop", str(law_file(tmp_path)), "--json", str(out), "--figure", str(figure)]
     assert main(safe) == 0
@@ -69,7 +70,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 def test_the_next_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The course in words, as JSON and as a figure; what cannot be asked is one line."""
-    out, figure = tmp_path / "course.json", tmp_path / "course.svg"
+    out = tmp_path / "course.json"
+    figure = tmp_path / "course.svg"
     base = ["experiment", str(SHIPPED)]
     assert main([*base, "--minutes", "3", "--json", str(out), "--figure", str(figure)]) == 0
     first, *rest = capsys.readouterr().out.splitlines()
@@ -123,7 +125,8 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
     ground: Ground, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One of them is a plate of half the heat capacity: a law that holds all of today's twins fails on it."""
-    path, model = tmp_path / "memory.db", Peltier.model("held sink")
+    path = tmp_path / "memory.db"
+    model = Peltier.model("held sink")
     with pytest.raises(ControllerError, match="remembers nothing of plant peltier; leave --memory out"):
         remembered(ground, path)
     usual = {**model.typical(), "seebeck": 0.08, "conductance": 0.4, "heat_capacity": 30.0}
@@ -165,8 +168,10 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
     for name in ("prbs_open_loop", "closed_loop_lqg"):
         kit_session(name, tmp_path)
     law = OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json"
-    out, file = tmp_path / "out.json", tmp_path / "kit.sqlite"
-    came, base = tmp_path / "closed_loop_lqg", ["try-controller", str(tmp_path / "prbs_open_loop")]
+    out = tmp_path / "out.json"
+    file = tmp_path / "kit.sqlite"
+    came = tmp_path / "closed_loop_lqg"
+    base = ["try-controller", str(tmp_path / "prbs_open_loop")]
     base += ["--plant", "tclab-both", "--draws", "125"]
     command = [*base, "--came", str(came), "--loop"]
     assert main([*command, str(law), "--memory", str(file), "--json", str(out)]) == 0
@@ -203,7 +208,8 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
 def test_later_answers_are_as_wide_as_the_record_asks_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, memory = tmp_path / "out.json", Memory(tmp_path / "rig.sqlite")
+    out = tmp_path / "out.json"
+    memory = Memory(tmp_path / "rig.sqlite")
     for k, measured in enumerate((5.2, 4.1, 8.0)):
         memory.add_comparison(comparison(k, measured=measured))
     command = ["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), "--draws", "25"]

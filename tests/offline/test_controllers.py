@@ -65,7 +65,8 @@ def members(ground: Ground, members_of: Callable[..., tuple[TriedTwin, ...]]) ->
 def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
     ground: Ground, members: tuple[TriedTwin, ...], tmp_path: Path
 ) -> None:
-    law, holding = read_law(law_file(tmp_path), Peltier, 1.0), ground.holding
+    law = read_law(law_file(tmp_path), Peltier, 1.0)
+    holding = ground.holding
     references = usual_profile(Peltier, ground.level, 120)
     answer = try_controller(members, ControllerQuestion(law, references, references[0], holding, draws=50))
     assert answer.decision is ControllerDecision.SAFE, answer.sentence

@@ -21,7 +21,9 @@ from twinmatch.sessions import Session, read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
 
-FIRST, MIDDLE, LAST = 420, 610, 640
+FIRST = 420
+MIDDLE = 610
+LAST = 640
 """Of the motor's samples: the second is two after a step, in the middle of a transient."""
 
 
@@ -125,7 +127,8 @@ def test_it_begins_earlier_if_nothing_is_known_there(
 
 def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:
     outlook = known[MIDDLE].outlook
-    ahead, here = np.full(40, 90.0), session.samples[MIDDLE]
+    ahead = np.full(40, 90.0)
+    here = session.samples[MIDDLE]
     held = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)))
     np.testing.assert_array_equal(outlook.forecast(ahead).output.mean, held.means[0])
     other = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)) + 0.05)

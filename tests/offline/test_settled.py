@@ -42,7 +42,8 @@ def test_one_spike_changes_no_fit_and_no_stretch() -> None:
 @pytest.mark.parametrize("lost", [(), range(TAUGHT - 1, TAUGHT + 2), (SPIKE - 1, SPIKE + 1), range(300, 330)])
 def test_every_door_settles_as_the_discriminator_did(lost: Sequence[int]) -> None:
     """Also where the sample of the first nominal twin is itself a stand-in."""
-    samples, settings = untaught.spiked(lost), untaught.settings()
+    samples = untaught.spiked(lost)
+    settings = untaught.settings()
     found = judge_samples("spiked", samples, settings) if lost else untaught.judged()
     assert any(SPIKE in window.lost for window in found.stretches)
     assert same(filled_stretches(samples, settings, found.verdicts), found.stretches)
@@ -50,7 +51,8 @@ def test_every_door_settles_as_the_discriminator_did(lost: Sequence[int]) -> Non
 
 
 def test_the_page_says_what_the_terminal_says() -> None:
-    found, state = untaught.judged(), DashboardState()
+    found = untaught.judged()
+    state = DashboardState()
     for sample in untaught.spiked():
         state.push_sample(sample, 0.0)
     for verdict in found.verdicts:
@@ -60,15 +62,18 @@ def test_the_page_says_what_the_terminal_says() -> None:
 
 
 def test_forecasts_are_not_scored_at_a_refused_reading() -> None:
-    samples, settings = untaught.spiked(), untaught.settings()
-    listener, twin = Listener("spiked", samples, settings, Choices()), Twin(settings)
+    samples = untaught.spiked()
+    settings = untaught.settings()
+    listener = Listener("spiked", samples, settings, Choices())
+    twin = Twin(settings)
     for sample in samples[: TAUGHT + 1]:
         listener(twin, sample, twin.push(sample))
     assert same(listener.held, untaught.judged().stretches)
 
 
 def test_the_twin_beside_the_plant_is_not_compared_with_a_refused_reading() -> None:
-    found, settings = untaught.judged(), untaught.settings()
+    found = untaught.judged()
+    settings = untaught.settings()
     mirror = Mirror(settings.start, None, period=1.0, gap=settings.schedule.gap, health=settings.health)
     assert found.summary.parameters is not None
     mirror.parameters = found.summary.parameters

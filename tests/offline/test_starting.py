@@ -20,7 +20,8 @@ SAMPLES = 100
 
 def first_verdict(tmp_path: Path, *options: str) -> dict:
     """That of the sample session's first minutes."""
-    session, out = tmp_path / SHIPPED.name, tmp_path / "verdicts.json"
+    session = tmp_path / SHIPPED.name
+    out = tmp_path / "verdicts.json"
     if not session.exists():
         write_session(session, read_session(SHIPPED).samples[:SAMPLES])
     assert main(["replay", str(session), "--json", str(out), *options]) == 0

@@ -81,7 +81,8 @@ def test_a_recorded_session_is_identical(
 
 
 def test_a_session_of_a_plant_with_two_loops_is_identical(tmp_path: Path) -> None:
-    steps, twin = list(run(21, "nothing", 450)), Twin(TwinSettings.of(TCLabBoth, law=None))
+    steps = list(run(21, "nothing", 450))
+    twin = Twin(TwinSettings.of(TCLabBoth, law=None))
     values = twin_values("twin", {"plant": TCLabBoth.name, "loop": "unknown"})
     folder = write_judged(tmp_path / "run", steps, [twin.push(sample) for sample in steps], values)
     found = verify_session(folder)
@@ -241,7 +242,8 @@ def test_parameters_under_the_names_they_had_are_understood(record: Callable[...
 
 def test_files_stand_in_for_what_was_not_recorded(record: Callable[..., Path], tmp_path: Path) -> None:
     folder = record(nodes=(), family=None)
-    config, family = tmp_path / "twin.yaml", tmp_path / "family.yaml"
+    config = tmp_path / "twin.yaml"
+    family = tmp_path / "family.yaml"
     config.write_text("/**:\n  ros__parameters:\n    period: 1.0\n")
     family.write_text(FAMILY)
     assert verify_session(folder, config=config, candidates=family).identical
@@ -277,7 +279,8 @@ def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path)
 
 def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
     """Through messages and back: what is absent there is NaN."""
-    samples, settings = quarter_of_an_hour(), TwinSettings.of(Peltier, law=None)
+    samples = quarter_of_an_hour()
+    settings = TwinSettings.of(Peltier, law=None)
     twin = Twin(settings)
     outcomes = [twin.push(sample) for sample in samples]
     found = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))

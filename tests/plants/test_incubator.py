@@ -69,8 +69,10 @@ def test_four_parameters_are_the_authors_equations(
     plant: Parameters, start: tuple[float, float], on: float
 ) -> None:
     """As they write them, with a general integrator, over a minute."""
-    c_air, g_box = plant["air_heat_capacity"], plant["box_conductance"]
-    c_heater, g_heater = plant["bed_heat_capacity"], plant["bed_conductance"]
+    c_air = plant["air_heat_capacity"]
+    g_box = plant["box_conductance"]
+    c_heater = plant["bed_heat_capacity"]
+    g_heater = plant["bed_conductance"]
 
     def theirs(_: float, x: FloatArray) -> list[float]:
         inside, heater = x
@@ -102,9 +104,11 @@ def simulated(truth: Parameters, seed: int, size: int = 1000) -> Window:
     rng = np.random.default_rng(seed)
     states = begin(truth, 22.8)
     states[1] += 6.0
-    heater, output = np.zeros(size), np.zeros(size)
+    heater = np.zeros(size)
+    output = np.zeros(size)
     room = 21.1 + 0.05 * np.cumsum(rng.normal(0.0, 0.1, size)) / 3.0
-    heating, since = True, 0
+    heating = True
+    since = 0
     for k in range(size):
         output[k] = read(truth, states) + rng.normal(0.0, 0.03)
         heating = output[k] < 30.0 if heating else output[k] < 25.0
@@ -185,7 +189,8 @@ def test_the_data_justify_walls_with_mass_and_the_sensors_lag(run: Callable[[str
 
 def test_what_one_run_says_of_the_other(run: Callable[[str], Window]) -> None:
     """Fitted to the second and judged on the first; and the other way round."""
-    first, second = run(FIRST), run(SECOND)
+    first = run(FIRST)
+    second = run(SECOND)
     theirs = fitted("four parameters", second).parameters
     assert judged(theirs, first, 40, ("bed",)) <= 0.58
     there = fitted("box with mass", second).parameters

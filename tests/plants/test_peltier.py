@@ -136,7 +136,8 @@ def test_lag_slope_and_ripple_agree_with_a_general_integrator(
     rig: Parameters, plate: float, sink: float, sensor: float, pwm: float
 ) -> None:
     start = np.array([plate, sink, sensor])
-    found, exact = advance(rig, start, pwm, 2.0), integrated(rig, start, pwm, 2.0)
+    found = advance(rig, start, pwm, 2.0)
+    exact = integrated(rig, start, pwm, 2.0)
     assert np.max(np.abs(found - exact)) <= allowed(*(exact - start), plate - sink, plate - sensor)
 
 
@@ -150,8 +151,10 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
     reference = recorded_hour(number).reference
     reference = reference if rig is STRUCTURES[0] else reference[:240]
     found = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
-    states, pid = np.array([296.0, rig["ambient"], 296.0]), Controller(Peltier.loop)
-    output, commands = np.empty(reference.size), np.empty(reference.size)
+    states = np.array([296.0, rig["ambient"], 296.0])
+    pid = Controller(Peltier.loop)
+    output = np.empty(reference.size)
+    commands = np.empty(reference.size)
     for k, r in enumerate(reference):
         output[k] = states[0] - KELVIN
         commands[k] = pid.step(r, output[k])[0]
@@ -197,7 +200,8 @@ def test_a_switched_drive_heats_as_its_pulses_do() -> None:
 
 def test_the_camera_sees_the_lag() -> None:
     model = Peltier.model("sink with mass, sensor lag")
-    sharp, late = MASSIVE.parameters(), model.parameters(sensor_lag=4.0)
+    sharp = MASSIVE.parameters()
+    late = model.parameters(sensor_lag=4.0)
     runs = [simulate_driven(rig, np.full(200, 100.0), states=begin(rig, 22.85)) for rig in (sharp, late)]
     # A slow ramp arrives τ late.
     shifted = np.interp(np.arange(30.0, 60.0) - 4.0, np.arange(200.0), runs[0].output)
@@ -237,7 +241,8 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, 
     sensor = None if seed is None else Peltier.sensor.realise(STEPS.size, 1.0, seed)
     states = begin(rig, 22.85)
     response = simulate_closed_loop(rig, STEPS, states=states, sensor=sensor)
-    pid, last = Controller(Peltier.loop), None
+    pid = Controller(Peltier.loop)
+    last = None
     for k, reference in enumerate(STEPS):
         assert states.tobytes() == response.states[k].tobytes()
         last = read(rig, states) if sensor is None else sensor.reading(k, read(rig, states), last)
@@ -248,7 +253,8 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, 
 
 
 def test_noise_feeds_back_through_the_controller() -> None:
-    rig, reference = PLAIN.parameters(), np.full(2000, 40.0)
+    rig = PLAIN.parameters()
+    reference = np.full(2000, 40.0)
     sensor = Peltier.sensor.realise(2000, 1.0, 3)
     quiet = simulate_closed_loop(rig, reference, states=begin(rig, 40.0))
     noisy = simulate_closed_loop(rig, reference, states=begin(rig, 40.0), sensor=sensor)
@@ -257,7 +263,8 @@ def test_noise_feeds_back_through_the_controller() -> None:
 
 
 def test_other_periods_describe_the_same_rig() -> None:
-    pwm, rig = np.repeat([100.0, -50.0, 255.0], 60), PLAIN.parameters()
+    pwm = np.repeat([100.0, -50.0, 255.0], 60)
+    rig = PLAIN.parameters()
     coarse = simulate_driven(rig, pwm, states=begin(rig, 22.85))
     fine = simulate_driven(rig, np.repeat(pwm, 4), states=begin(rig, 22.85), period=0.25)
     np.testing.assert_allclose(fine.output[::4], coarse.output, atol=1e-6)

@@ -33,8 +33,14 @@ kits = st.builds(
 def published(_: float, x: list[float], kit: Parameters, q1: float, q2: float) -> list[float]:
     """The balance as its authors write it (apmonitor.com/pdc, SimulateEnergyBalance), with sensor 1."""
     heater, neighbour, sensor = x
-    mass, cp, area, between, emissivity, boltzmann = 4.0 / 1000.0, 500.0, 10e-4, 2e-4, 0.9, 5.67037442e-8
-    room, u = kit["ambient"], kit["losses"]
+    mass = 4.0 / 1000.0
+    cp = 500.0
+    area = 10e-4
+    between = 2e-4
+    emissivity = 0.9
+    boltzmann = 5.67037442e-8
+    room = kit["ambient"]
+    u = kit["losses"]
     convected = kit["exchange"] * between * (neighbour - heater)
     radiated = emissivity * boltzmann * between * (neighbour**4 - heater**4)
     first = (1.0 / (mass * cp)) * (
@@ -82,7 +88,8 @@ def test_heat_comes_to_a_balance_that_can_be_worked_out_by_hand() -> None:
 
 
 def test_the_second_heater_warms_the_first() -> None:
-    kit, states = WHOLE.parameters(ambient=293.15), begin(WHOLE.parameters(ambient=293.15), 20.0)
+    kit = WHOLE.parameters(ambient=293.15)
+    states = begin(WHOLE.parameters(ambient=293.15), 20.0)
     for _ in range(1200):
         states = advance(kit, states, 0.0, 1.0, np.array([80.0]))
     # The published kit shows some 5 to 10 °C for such a step.
@@ -99,7 +106,8 @@ def simulated_kit() -> Window:
     import random
 
     random.seed(3)
-    kit, loop = tclab.TCLabModel(synced=False), Loop(TCLab)
+    kit = tclab.TCLabModel(synced=False)
+    loop = Loop(TCLab)
     kit.tlast = 0.0
     samples: list[Sample] = []
     for k, level in enumerate(np.repeat([35.0, 50.0, 40.0, 60.0], 450)):

@@ -24,8 +24,14 @@ def published(_: float, x: np.ndarray, kit: Parameters, q1: float, q2: float) ->
     """The balance as its authors write it (apmonitor.com/pdc, SimulateEnergyBalance), with a lag of each
     sensor."""
     heater, neighbour, *sensors = x
-    mass, cp, area, between, emissivity, boltzmann = 4.0 / 1000.0, 500.0, 10e-4, 2e-4, 0.9, 5.67037442e-8
-    room, u = kit["ambient"], kit["losses"]
+    mass = 4.0 / 1000.0
+    cp = 500.0
+    area = 10e-4
+    between = 2e-4
+    emissivity = 0.9
+    boltzmann = 5.67037442e-8
+    room = kit["ambient"]
+    u = kit["losses"]
     across = kit["exchange"] * between * (neighbour - heater)
     across += emissivity * boltzmann * between * (neighbour**4 - heater**4)
     lost = [
@@ -39,7 +45,8 @@ def published(_: float, x: np.ndarray, kit: Parameters, q1: float, q2: float) ->
 
 def test_it_is_the_published_balance() -> None:
     at = {"heater": 330.0, "neighbour": 305.0, "sensor_state": 325.0, "second_sensor": 303.0}
-    states, order = np.array([at[name] for name in WHOLE.states]), list(at)
+    states = np.array([at[name] for name in WHOLE.states])
+    order = list(at)
     after = advance(KIT, states, [40.0, 25.0], 5.0)
     exact = solve_ivp(
         lambda t, x: published(t, x, KIT, 40.0, 25.0), (0.0, 5.0), list(at.values()), rtol=1e-11, atol=1e-9
@@ -98,7 +105,8 @@ def test_a_real_kit_is_forecast_better_than_by_a_vector_arx() -> None:
     arx = Arx(None, 1.0)
     for sample in samples[:cut]:
         arx.push(sample)
-    fixed, follower = arx.departure(np.zeros(0)), StateFilter(found.parameters, 1.0)
+    fixed = arx.departure(np.zeros(0))
+    follower = StateFilter(found.parameters, 1.0)
     foresight = foresight_of([(found.parameters, ())], None, 1.0)
     errors: dict[int, list[np.ndarray]] = {10: [], 60: [], 300: []}
     for k, sample in enumerate(samples[:-300]):

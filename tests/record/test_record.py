@@ -167,7 +167,8 @@ def test_what_an_older_version_recorded_is_compared_as_far_as_both_know_it() -> 
 
 
 def test_every_bit_counts() -> None:
-    tree, other = tree_of(VERDICT), tree_of(VERDICT)
+    tree = tree_of(VERDICT)
+    other = tree_of(VERDICT)
     assert not list(differences(tree, other))
     was = other["candidates"][1]["orders"][0]["total"]["bic"]
     now = float(np.nextafter(was, np.inf))

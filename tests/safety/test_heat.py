@@ -332,7 +332,8 @@ def test_a_lie_is_given_less_of_the_margin_early_than_late() -> None:
 def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
     """The plant has half of the typical gain, which the first steps show. Then its sensor drifts while the
     output rises in the same time: what the ceiling believes of the plant stays what the steps have shown."""
-    ceiling, random = Ceiling(12.5, np.ones(1)), np.random.default_rng(1)
+    ceiling = Ceiling(12.5, np.ones(1))
+    random = np.random.default_rng(1)
 
     def at(warmth: float, lie: float) -> float:
         """How far the estimate is off; `warmth` is the typical plant's, above a room of 20 °C."""
@@ -376,10 +377,14 @@ def judged(hour: Window, end: int | None = None) -> tuple[int | None, str, float
     """When observer or budget speak in a recording, what, and the largest share of the budget spent; until
     then, the seconds in which more drive was commanded than the ceiling lets pass."""
     limits = RIG.bridge.LIMITS
-    observer, budget = RIG.bridge.observer(limits), HeatBudget(limits.budget)
-    most, limited = 0.0, 0
+    observer = RIG.bridge.observer(limits)
+    budget = HeatBudget(limits.budget)
+    most = 0.0
+    limited = 0
     for k in range(1, len(hour) if end is None else end):
-        drive, reading, reference = hour.input[k - 1], hour.output[k], hour.reference[k]
+        drive = hour.input[k - 1]
+        reading = hour.output[k]
+        reference = hour.reference[k]
         spent = budget.take(1.0, drive, reference, reading)
         off = observer.take(1.0, drive, reading, reference=reference)
         limited += hour.input[k] > 255.0 * observer.ceiling.share
@@ -412,7 +417,8 @@ def test_the_estimate_follows_a_plate_that_no_sensor_shows_any_longer() -> None:
     """An independent integrator is the plate; it differs from the typical one by 15 to 20 %."""
     truth = {**RIG.typical, "seebeck": 0.07, "conductance": 0.5, "heat_capacity": 32.0, "sensor_lag": 0.0}
     states = np.array([295.0, 295.0, 295.0])
-    observer, random = RIG.bridge.observer(RIG.bridge.LIMITS), np.random.default_rng(4)
+    observer = RIG.bridge.observer(RIG.bridge.LIMITS)
+    random = np.random.default_rng(4)
     errors = []
     for k in range(1800):
         drive = 40.0 + 80.0 * (k // 120 % 3)

@@ -228,9 +228,11 @@ events = st.one_of(
 def test_what_passes_is_always_a_fresh_good_command_on_a_fresh_good_temperature(
     story: list[tuple[float, tuple[str, float]]],
 ) -> None:
-    guard, now = OutputGuard(), 0.0
+    guard = OutputGuard()
+    now = 0.0
     good_command = good_temperature = -math.inf
-    newest, broken = 0.0, False
+    newest = 0.0
+    broken = False
     for wait, (what, value) in story:
         now += wait
         if what == "clear":
@@ -243,7 +245,8 @@ def test_what_passes_is_always_a_fresh_good_command_on_a_fresh_good_temperature(
         elif what == "command":
             guard.command(value, now)
             if math.isfinite(value) and abs(value) <= 255:
-                good_command, newest = now, value
+                good_command = now
+                newest = value
             else:
                 broken = True
         else:
@@ -268,7 +271,9 @@ def first_alarm(
     reference: Callable[[int], float], drive: Callable[[int, float], float], ticks: int = 900
 ) -> int:
     """Run the rig in its loop with a drive that may fail; the tick of the first alarm, or `ticks`."""
-    watch, pid, states = Runaway(), Controller(GAINS), begin(RIG, 22.85)
+    watch = Runaway()
+    pid = Controller(GAINS)
+    states = begin(RIG, 22.85)
     for k in range(ticks):
         y = read(RIG, states)
         u = pid.step(reference(k), y)[0]
@@ -370,12 +375,16 @@ def test_it_never_goes_back_and_a_deadline_has_an_end_on_the_wall_clock(
     steps: list[tuple[int, int]],
 ) -> None:
     """However the plant's clock behaves: while it is not called stopped, it makes its progress."""
-    clock, plant, wall = SafetyClock(), 0, 0
+    clock = SafetyClock()
+    plant = 0
+    wall = 0
     now = clock.read(plant, wall)
     mark: tuple[float, float] = (now, -math.inf)
     for step, pause in steps:
-        plant, wall = plant + step, wall + pause
-        before, now = now, clock.read(plant, wall)
+        plant = plant + step
+        wall = wall + pause
+        before = now
+        now = clock.read(plant, wall)
         assert now >= before
         assert now - before == pytest.approx(max(0, step) / SECOND)
         if now - mark[0] >= clock.limits.progress:

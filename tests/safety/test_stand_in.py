@@ -71,7 +71,8 @@ def test_what_is_taken_is_a_fresh_estimate_within_its_limits(
     told: list[tuple[float, float, float]], late: float
 ) -> None:
     """Whatever was estimated: the law never gets a value beyond the limit, too old, or of too wide a band."""
-    stand_in, now = StandIn("temperature", 85.0, "°C"), 10.0
+    stand_in = StandIn("temperature", 85.0, "°C")
+    now = 10.0
     stand_in.accuse(now)
     for pause, value, band in told:
         now += pause

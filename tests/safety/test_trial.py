@@ -19,7 +19,8 @@ from twinmatch.plants import Peltier
 from twinmatch.safety import LawTrial, TrialBands, TrialError, TrialPhase
 from twinmatch.signals import Sample
 
-LEVEL, SETTLED = 40.0, 300
+LEVEL = 40.0
+SETTLED = 300
 OWN = law_of(Peltier, 1.0)
 assert isinstance(OWN, PidGains)
 SOUND = replace(OWN, proportional=1.5 * OWN.proportional, integral=1.5 * OWN.integral)
@@ -37,7 +38,9 @@ class Bench:
         self.truth = Peltier.model("sink with mass").parameters()
         self.loop, self.states, self.k = Loop(Peltier), begin(self.truth, [23.0]), 0
         self.random = np.random.default_rng(3)
-        self.off, self.silent, self.level = 0.0, False, LEVEL
+        self.off = 0.0
+        self.silent = False
+        self.level = LEVEL
         for _ in range(SETTLED):
             self.step()
 
@@ -48,7 +51,8 @@ class Bench:
             self.loop.measure(tuple(noisy.tolist()), self.k * 10**9)
         sample = self.loop.tick(self.k * 10**9, lambda _: self.level)
         acting = [0.0] if sample is None else sample.inputs
-        self.states, self.k = advance(self.truth, self.states, np.array(acting), 1.0), self.k + 1
+        self.states = advance(self.truth, self.states, np.array(acting), 1.0)
+        self.k = self.k + 1
         return sample
 
 
@@ -63,7 +67,8 @@ def test_a_sound_law_is_kept_without_a_bump(bench: Bench) -> None:
     twin = Bench()
     bench.loop.try_law(SOUND, trial := LawTrial(bands(shadow=20)))
     for _ in range(20 - 1):
-        shadowed, alone = bench.step(), twin.step()
+        shadowed = bench.step()
+        alone = twin.step()
         assert shadowed is not None
         assert alone is not None
         assert shadowed.inputs == alone.inputs
@@ -190,7 +195,8 @@ def test_a_second_law_waits_for_the_first(bench: Bench) -> None:
 
 
 def test_bands_and_gains_that_are_not_numbers_are_refused() -> None:
-    low, high = np.full((5, 1), 1.0), np.full((5, 1), 2.0)
+    low = np.full((5, 1), 1.0)
+    high = np.full((5, 1), 2.0)
     for ends in ((high, low), (low, np.full((5, 1), math.nan)), (low[:0], high[:0]), (low, high[:4])):
         with pytest.raises(TrialError, match="pairs of finite ends"):
             TrialBands(*ends)

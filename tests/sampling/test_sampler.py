@@ -41,7 +41,8 @@ def follow(message: object, path: str) -> float | None:
 
 def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) -> list[Sample]:
     """What the sampler makes of values by time, name and value, looked for every 10 ms."""
-    samples, waiting = [], sorted(told, key=lambda entry: entry[0])
+    samples = []
+    waiting = sorted(told, key=lambda entry: entry[0])
     for now in np.arange(0.0, until, 0.01):
         while waiting and waiting[0][0] <= now:
             at, name, value = waiting.pop(0)

@@ -156,7 +156,8 @@ PACK = {"": bytes, "zstd": zstandard.compress, "lz4": lz4.frame.compress}
 
 def scan_of_zeros(path, compression, size, stated):
     """What is read of a file with a chunk of so many zeros that states another size."""
-    packed, record = PACK[compression](bytes(size)), RecordBuilder()
+    packed = PACK[compression](bytes(size))
+    record = RecordBuilder()
     Chunk(
         compression=compression,
         data=packed,

@@ -162,7 +162,8 @@ def test_samples_are_those_that_another_reader_finds() -> None:
 
 def test_outputs_and_inputs_are_those_of_the_loop() -> None:
     """The rig's PID computes the inputs from references and outputs, so none is taken for another."""
-    window, pid = read_session(SESSION).window(), Controller(Peltier.loop)
+    window = read_session(SESSION).window()
+    pid = Controller(Peltier.loop)
     computed = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
     np.testing.assert_allclose(computed, window.input, atol=1e-9)
 

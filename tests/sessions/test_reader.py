@@ -36,7 +36,8 @@ def record(folder: Path, *rigs: tuple[Topic, list[Sample]]) -> Path:
 
 def test_a_folder_and_its_file_hold_the_same(tmp_path):
     folder = write_session(tmp_path / "night", run())
-    by_folder, by_file = read_session(folder), read_session(str(folder / "night_0.mcap"))
+    by_folder = read_session(folder)
+    by_file = read_session(str(folder / "night_0.mcap"))
     assert by_folder.samples == by_file.samples == run()
     assert by_folder.name == by_file.name == "night"
     assert (by_folder.path, by_file.path) == (folder, folder / "night_0.mcap")
@@ -278,7 +279,8 @@ def library_file(compression: CompressionType, *, use_chunking: bool = True) -> 
 
 def chunk_before(content: bytes, end: int) -> int:
     """Where the last chunk before a position begins."""
-    at, chunk = len(MAGIC), 0
+    at = len(MAGIC)
+    chunk = 0
     while at < end:
         opcode, length = struct.unpack_from("<BQ", content, at)
         chunk = at if opcode == 6 else chunk

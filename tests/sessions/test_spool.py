@@ -29,7 +29,8 @@ def test_rows_are_the_samples_with_these_indices(
     data: st.DataObject,
 ) -> None:
     first, count, most = wish
-    samples, index = [], begin
+    samples = []
+    index = begin
     with closing(SampleSpool()) as spool:  # an example may end in the middle
         for step in steps:
             signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]

@@ -20,7 +20,8 @@ ENDS = 1640
 @pytest.fixture(scope="session")
 def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The session."""
-    folder, records = tmp_path_factory.mktemp("two") / "kit", {PLANT: {"plant": TCLabBoth.name}}
+    folder = tmp_path_factory.mktemp("two") / "kit"
+    records = {PLANT: {"plant": TCLabBoth.name}}
     return write_session(folder, list(run(21, "T2 +5 °C", ENDS)), records=records)
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from twinmatch.showing.serving import Hosts
 
-HERE, OPEN = Hosts.of("127.0.0.1", ["Rig.Lab"]), Hosts.of("0.0.0.0")
+HERE = Hosts.of("127.0.0.1", ["Rig.Lab"])
+OPEN = Hosts.of("0.0.0.0")
 
 
 @pytest.mark.parametrize(

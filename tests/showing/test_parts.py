@@ -58,7 +58,8 @@ def test_parameters_are_shown_in_units_that_read_well() -> None:
 
 
 def test_another_plant_is_shown_as_it_declares_itself() -> None:
-    inertia, friction = parameter_format(Motor, "j"), parameter_format(Motor, "b")
+    inertia = parameter_format(Motor, "j")
+    friction = parameter_format(Motor, "b")
     assert (inertia.text(4e-4), inertia.unit) == ("0.000400", "kg m²"), "kilograms take no prefix"
     assert (friction.symbol, friction.words) == ("b", "viscous friction")
     assert parameter_format(Motor, "omega").unit == "rad/s"
@@ -241,7 +242,8 @@ def test_the_family_is_drawn(members: tuple[Member, ...], judged: Judged) -> Non
 def forecast(
     output: Sequence[float], reference: Sequence[float], *, sample: int = 10, half: float = 0.5
 ) -> Forecast:
-    mean, size = np.array(output, dtype=np.float64), len(output)
+    mean = np.array(output, dtype=np.float64)
+    size = len(output)
     entry = np.linspace(-200.0, 100.0, size)
     return Forecast(
         sample=sample,

@@ -51,7 +51,8 @@ def test_an_address_of_another_machine_is_one_line(tmp_path: Path, command: str,
 def test_what_is_not_installed_is_named_with_its_remedy(
     monkeypatch: pytest.MonkeyPatch, command: str, name: str
 ) -> None:
-    module, parser = import_module(f"twinmatch.cli.{command}"), argparse.ArgumentParser()
+    module = import_module(f"twinmatch.cli.{command}")
+    parser = argparse.ArgumentParser()
     module.add_arguments(parser)
     monkeypatch.setitem(sys.modules, name, None)  # as if it were not there
     with pytest.raises(ServingError, match=rf"{name} is not installed; pip install 'twinmatch\["):

@@ -22,7 +22,8 @@ from twinmatch.showing.lines import line_text
 from twinmatch.showing.summary import document, sentence
 from twinmatch.showing.verdicts import estimate_words, missed, trust_by_signal
 
-T1, T2 = "temperature T1", "temperature T2"
+T1 = "temperature T1"
+T2 = "temperature T2"
 QUANTITY = Quantity("second", T2, "°C")
 
 
@@ -97,13 +98,16 @@ def test_replay_shows_it_alone_and_in_a_table(
     short: Path, driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = [str(short), "--config", str(driven)]
-    wanted, figure = tmp_path / "one.json", tmp_path / "one.png"
+    wanted = tmp_path / "one.json"
+    figure = tmp_path / "one.png"
     assert main(["replay", *given, "--json", str(wanted), "--figure", str(figure)]) == 0
     assert f"; {T1} fit " in capsys.readouterr().out
     assert figure.read_bytes().startswith(b"\x89PNG")
-    (one, many) = json.loads(wanted.read_text()), tmp_path / "many.json"
+    one = json.loads(wanted.read_text())
+    many = tmp_path / "many.json"
     assert main(["replay", *given, "--jobs", "1", "--json", str(many)]) == 0
-    table, found = capsys.readouterr().out, json.loads(many.read_text())
+    table = capsys.readouterr().out
+    found = json.loads(many.read_text())
     assert found["sessions"][0]["summary"] == one["summary"]
     rows = found["candidates"]
     assert [row["name"] for row in rows] == [c["name"] for c in one["verdicts"][-1]["candidates"]]

@@ -71,7 +71,8 @@ def test_every_figure_stands_below_its_name_and_the_reason_below_them() -> None:
 
 def test_what_is_not_known_is_a_dash() -> None:
     assert set(cells(line_text(NONE_YET).splitlines()[0])[2:]) == {"–"}
-    known, unknown = row(verdict(TRUSTED, stands=False)), row(NONE_YET)
+    known = row(verdict(TRUSTED, stands=False))
+    unknown = row(NONE_YET)
     assert list(known) == list(unknown)
     assert list(known.values())[1:6] == ["trusted", "–", "22221", "1200", "0.250"]
     assert set(list(unknown.values())[2:11]) == {"–"}
@@ -107,7 +108,8 @@ def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.C
         view.say("[twin] a [bold]word[/] of somebody else's that is longer than forty characters")
         view.close()
     printed = capsys.readouterr().out
-    header, line = printed.splitlines()[0], printed.splitlines()[3]
+    header = printed.splitlines()[0]
+    line = printed.splitlines()[3]
     assert header.index("level") == line.index("trusted")
     first = [line.split()[0] for line in printed.splitlines() if not line.startswith(" ")]
     assert first == ["t", "300", "300", "[twin]"]
@@ -275,7 +277,8 @@ SUMMARY = SessionSummary(
 )
 
 
-FIT, HELD = "temperature fit 98.8 %", "10, 60 and 300 s ahead between 25 and 92 °C"
+FIT = "temperature fit 98.8 %"
+HELD = "10, 60 and 300 s ahead between 25 and 92 °C"
 ARX = "10 s ahead its forecasts are worse than saying that nothing changes, with 1.10 times the error"
 NONE = {"leader": None, "nominal": None, "level": UNKNOWN}
 NO_MATCH = "No twin to trust yet: 5 verdicts, but no valid match."
@@ -432,7 +435,8 @@ def test_the_document_is_strict_json() -> None:
 
 
 def test_the_figure_is_drawn_of_a_session_with_gaps_too(tmp_path: Path) -> None:
-    broken, path = samples()[:100] + samples()[150:], tmp_path / "verdict.pdf"
+    broken = samples()[:100] + samples()[150:]
+    path = tmp_path / "verdict.pdf"
     draw_verdict(broken, MATCHED, TwinSettings(), path)
     assert path.stat().st_size > 5000
     summary = summarise(stretches(broken, 1.0), MATCHED, GAINS)

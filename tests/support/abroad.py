@@ -88,9 +88,11 @@ def _rig(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     plate, sink = x
     current = (-p["supply"] * u / 255.0 - p["seebeck"] * (sink - plate)) / 3.4
     current = min(max(current, -5.0), 5.0)
-    joule, across = 0.5 * 3.3 * current * current, p["conductance"] * (plate - sink)
+    joule = 0.5 * 3.3 * current * current
+    across = p["conductance"] * (plate - sink)
     to_room = around.losses * p["convection"] * (sink - around.room - KELVIN)
-    drawn, given = p["seebeck"] * plate * current, p["seebeck"] * sink * current
+    drawn = p["seebeck"] * plate * current
+    given = p["seebeck"] * sink * current
     return (
         (joule - drawn - across + around.load) / p["capacity"],
         (given + joule + across - to_room) / p["sink_capacity"],
@@ -106,7 +108,8 @@ def _kit(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
 
 def _incubator(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     air, bed, box, seen = x
-    given, into = p["bed_conductance"] * (bed - air), p["box_conductance"] * (air - box)
+    given = p["bed_conductance"] * (bed - air)
+    into = p["box_conductance"] * (air - box)
     opened = (around.losses - 1.0) * p["box_conductance"] * (air - around.room)
     return (
         (given + around.load - into - opened) / p["air_capacity"],
@@ -124,8 +127,10 @@ def _motor(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
 
 
 def _tanks(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
-    upper, lower = max(x[0], 0.0), max(x[1], 0.0)
-    passed, left = p["upper_hole"] * math.sqrt(upper), p["lower_hole"] * math.sqrt(lower)
+    upper = max(x[0], 0.0)
+    lower = max(x[1], 0.0)
+    passed = p["upper_hole"] * math.sqrt(upper)
+    left = p["lower_hole"] * math.sqrt(lower)
     spilt = max(upper - p["rim"], 0.0)  # what is above the rim leaves within a second; half of it falls below
     away = max(lower - p["rim"], 0.0)
     return p["pump"] * u - passed - spilt, passed + 0.5 * spilt - around.losses * left - away + around.load
@@ -324,7 +329,8 @@ class AbroadPlant:
             "noise": float(draw.uniform(2.0, 3.0)),
         }
         self._room = float(draw.uniform(18.0, 25.0))
-        self._phase, self._slow = float(draw.uniform(0.0, 2 * math.pi)), float(draw.uniform(1200.0, 3600.0))
+        self._phase = float(draw.uniform(0.0, 2 * math.pi))
+        self._slow = float(draw.uniform(1200.0, 3600.0))
         self._wander = 0.0
         self._states = self.kind.start(self._room)
         self._now = Around(self._room, 0.0)
@@ -332,7 +338,9 @@ class AbroadPlant:
         self._seen = self.output  # the output behind a lag
         self._held = self.kind.rest  # the input that a dead band lets through
         self._pipe = deque([self.kind.rest] * round(self.has("dead time") / self.kind.step))
-        self._until, self._chosen = 0, math.nan  # sample to which the level holds
+        # sample to which the level holds
+        self._until = 0
+        self._chosen = math.nan
 
     @property
     def output(self) -> float:
@@ -359,7 +367,8 @@ class AbroadPlant:
 
     def run(self, size: int) -> Iterator[Sample]:
         """So many samples."""
-        kind, period = self.kind, self.kind.period
+        kind = self.kind
+        period = self.kind.period
         gains = kind.gains
         pid = Controller(gains) if gains is not None else None
         late = max(1, round(_LATE * kind.second / period))
@@ -368,7 +377,8 @@ class AbroadPlant:
         heating = True
         last = math.nan
         for k in range(size):
-            mishap, level = self.mishap, self._level(k)
+            mishap = self.mishap
+            level = self._level(k)
             reading = self._read(k)
             shown.append(reading)
             if mishap.kind == "frozen" and mishap.on(k):
@@ -401,7 +411,8 @@ class AbroadPlant:
         return self._chosen
 
     def _read(self, k: int) -> float:
-        kind, mishap = self.kind, self.mishap
+        kind = self.kind
+        mishap = self.mishap
         noise = kind.noise * self.has("noise", 1.0) * float(self._draw.standard_normal())
         value = self._seen + noise
         if mishap.on(k):
@@ -417,7 +428,9 @@ class AbroadPlant:
 
     def _advance(self, k: int, command: float) -> None:
         """One period."""
-        kind, mishap, on = self.kind, self.mishap, self.mishap.on(k)
+        kind = self.kind
+        mishap = self.mishap
+        on = self.mishap.on(k)
         band = self.has("dead band")
         if abs(command - self._held) > band or (band and abs(command) <= 1e-9):
             self._held = command - math.copysign(band, command - self._held) if band else command
@@ -425,7 +438,8 @@ class AbroadPlant:
         if on and mishap.kind.startswith("drive"):
             u *= mishap.number
         self._around(k, mishap if on else NOTHING)
-        lag, behind = self.has("input lag"), self.has("sensor lag")
+        lag = self.has("input lag")
+        behind = self.has("sensor lag")
         for _ in range(round(kind.period / kind.step)):
             self._pipe.append(u)
             arrived = self._pipe.popleft()
@@ -442,7 +456,8 @@ class AbroadPlant:
         return tuple(x + step * d for x, d in zip(self._states, rates, strict=True))
 
     def _around(self, k: int, mishap: Mishap) -> None:
-        kind, time = self.kind, k * self.kind.period / self.kind.second
+        kind = self.kind
+        time = k * self.kind.period / self.kind.second
         self._wander += 0.015 * math.sqrt(kind.period / kind.second) * float(self._draw.standard_normal())
         drift = self.has("drift") * math.sin(2 * math.pi * time / self._slow + self._phase) + self._wander
         drift = drift if self.has("drift") else 0.0

@@ -16,7 +16,8 @@ _LEVELS = (0.0, 0.4, 0.15, 0.6, 0.3, 0.1, 0.5, 0.2)
 def step_test(size: int, seed: int) -> list[Sample]:
     """The heater stands still at eight levels, one after the other."""
     rng = np.random.default_rng(seed)
-    room, noise = _room(size, rng), Box.output.noise * rng.standard_normal(size)
+    room = _room(size, rng)
+    noise = Box.output.noise * rng.standard_normal(size)
     heater = np.repeat(_LEVELS, -(-size // len(_LEVELS)))[:size]
     run = simulate_driven(TRUTH, heater, states=_cold(room), period=PERIOD, disturbances=room[:, None])
     return [
@@ -28,15 +29,21 @@ def step_test(size: int, seed: int) -> list[Sample]:
 def switched(size: int, seed: int) -> list[Sample]:
     """A switch keeps 35 °C: below it heats for 20 s, and then waits for 30 s at least."""
     rng = np.random.default_rng(seed)
-    room, noise = _room(size, rng), Box.output.noise * rng.standard_normal(size)
-    states, samples, on, since = _cold(room), [], False, np.inf
+    room = _room(size, rng)
+    noise = Box.output.noise * rng.standard_normal(size)
+    states = _cold(room)
+    samples = []
+    on = False
+    since = np.inf
     for k in range(size):
         row = room[k : k + 1]
         y = read(TRUTH, states, row) + float(noise[k])
         if (on and since >= 20.0) or (not on and since >= 30.0 and y < 35.0):
-            on, since = not on, 0.0
+            on = not on
+            since = 0.0
         samples.append(Sample(k, round(k * PERIOD * 1e9), 35.0, y, float(on), (float(room[k]),)))
-        states, since = advance(TRUTH, states, float(on), PERIOD, row), since + PERIOD
+        states = advance(TRUTH, states, float(on), PERIOD, row)
+        since = since + PERIOD
     return samples
 
 

@@ -42,7 +42,9 @@ class RunningBroker:
         self, folder: Path, kind: str = "amqtt", *, users: Mapping[str, str] | None = None, tls: bool = False
     ) -> None:
         """Start it, with its files in this folder, which is made, and wait until it answers."""
-        self.kind, self._folder, self._starts = kind, folder, 0
+        self.kind = kind
+        self._folder = folder
+        self._starts = 0
         folder.mkdir(parents=True, exist_ok=True)
         self.certificate = folder / "certificate.pem"
         with socket.socket() as free:
@@ -158,7 +160,8 @@ def _write_amqtt(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -
         from pwdlib import PasswordHash
         from pwdlib.hashers.argon2 import Argon2Hasher
 
-        hashed, known = PasswordHash((Argon2Hasher(),)), folder / "users"
+        hashed = PasswordHash((Argon2Hasher(),))
+        known = folder / "users"
         known.write_text("".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items()))
         plugins = {"amqtt.plugins.authentication.FileAuthPlugin": {"password_file": str(known)}}
     config = folder / "amqtt.yaml"

@@ -41,7 +41,8 @@ def _insert(rng: random.Random, data: bytearray) -> None:
 
 
 def _swap(rng: random.Random, data: bytearray) -> None:
-    a, b = rng.randrange(len(data)), rng.randrange(len(data))
+    a = rng.randrange(len(data))
+    b = rng.randrange(len(data))
     data[a], data[b] = data[b], data[a]
 
 

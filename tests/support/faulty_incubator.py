@@ -57,7 +57,9 @@ def run(
     states = begin(plant, random.uniform(21.5, 25.0))
     states[plant.model.states.index("bed")] += random.uniform(0.0, 8.0)
     air = plant.model.states.index("air")
-    room, heating, since = random.uniform(19.0, 23.0), True, 0
+    room = random.uniform(19.0, 23.0)
+    heating = True
+    since = 0
     samples = []
     for k in range(size):
         seen = read(plant, states) + random.normal(0.0, 0.02, 2)
@@ -65,7 +67,8 @@ def run(
         if heating and y > limits[1]:
             heating = False
         elif not heating and y < limits[0]:
-            heating, since = True, 0
+            heating = True
+            since = 0
         u = float(heating and since % 17 < 7)
         since += 1
         room += random.normal(0.0, 0.01)

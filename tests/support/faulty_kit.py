@@ -120,7 +120,8 @@ def run(
     second: FloatArray | None = None,
 ) -> list[Sample]:
     """Samples of a kit whose T1 is held at `reference`, °C; `second`: power of heater 2, %."""
-    loop, samples = Loop(TCLab), list[Sample]()
+    loop = Loop(TCLab)
+    samples = list[Sample]()
     for k, level in enumerate(reference.tolist()):
         shown = samples[-1].output if k >= broken.frozen else kit.read()
         loop.measure(shown, k * SECOND)

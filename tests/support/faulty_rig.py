@@ -28,7 +28,8 @@ RICH_RIG = Peltier.model("sink with mass").parameters(
 )
 """The truth: a heat sink with mass, cooled by a fan."""
 CAMERA = replace(Peltier.sensor, noise=0.06)
-FLAT_FIELD_JUMP, FLAT_FIELD_KEEPS = 0.8, 0.93
+FLAT_FIELD_JUMP = 0.8
+FLAT_FIELD_KEEPS = 0.93
 """Standard deviation of the jump, °C, and what is left of it after a second."""
 FANS = {"fan-failed": 0.1, "draught": 3.0}
 """Convection from the sink, as a share of what it was."""
@@ -83,7 +84,8 @@ def run(
     states = begin(rig, room)
     samples: list[Sample] = []
     truth = np.empty(len(reference))
-    jump, last = 0.0, None
+    jump = 0.0
+    last = None
     for k, wanted in enumerate(reference):
         what = broken.kind if broken is not None and broken.on(k) else ""
         truth[k] = read(rig, states)
@@ -140,7 +142,8 @@ def watch(
         found = watched("rig", begin, samples)
         return found.monitor, found.healths
     begun = begin()
-    monitor, refusals = begun.monitor, begun.refusals
+    monitor = begun.monitor
+    refusals = begun.refusals
     assert refusals is not None
     return monitor, [monitor.push(refusals.settle(s), parameters) for s in samples]
 
@@ -157,7 +160,8 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
         return any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms)
 
     found = watched("rig as it reads", lambda: Watched(Monitor()), samples, named)
-    monitor, healths = found.monitor, found.healths
+    monitor = found.monitor
+    healths = found.healths
     if not monitor.alarms:
         doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
         return ("suspected" if doubted else "nothing"), None

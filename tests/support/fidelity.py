@@ -21,7 +21,9 @@ import numpy as np
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-_PAIR, _TWIN, _PLANT = 0, 1, 2
+_PAIR = 0
+_TWIN = 1
+_PLANT = 2
 """Last step of an alignment: both traces advance, the twin's alone, or the plant's alone."""
 _OPENING: Final = 1.0
 """Cost of a gap; an exact pair scores 1."""
@@ -46,7 +48,8 @@ def fidelity(twin: FloatArray, plant: FloatArray, tolerance: float) -> Fidelity:
 @compiled
 def _aligned(a: FloatArray, b: FloatArray, tolerance: float) -> tuple[float, int]:
     """Score and number of matching pairs of the best alignment."""
-    n, m = a.size, b.size
+    n = a.size
+    m = b.size
     best = np.full((3, n + 1, m + 1), -np.inf)
     came = np.zeros((3, n + 1, m + 1), dtype=np.int8)
     best[_PAIR, 0, 0] = 0.0
@@ -68,11 +71,14 @@ def _aligned(a: FloatArray, b: FloatArray, tolerance: float) -> tuple[float, int
                         best[alone, i, j] = best[last, p, q] - cost
                         came[alone, i, j] = last
     step = int(np.argmax(best[:, n, m]))
-    score, matching = best[step, n, m], 0
-    i, j = n, m
+    score = best[step, n, m]
+    matching = 0
+    i = n
+    j = m
     while i or j:
         before = came[step, i, j]
-        i, j = (i if step == _PLANT else i - 1), (j if step == _TWIN else j - 1)
+        i = i if step == _PLANT else i - 1
+        j = j if step == _TWIN else j - 1
         matching += step == _PAIR and abs(a[i] - b[j]) < tolerance
         step = before
     return score, matching

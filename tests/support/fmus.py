@@ -154,7 +154,8 @@ class ForkedWorker(Forked):
 
     def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
         """As `twinmatch.fmu.process.started`, but its environment also holds what this process began with."""
-        (asked, ask), (answers, answer) = os.pipe(), os.pipe()
+        asked, ask = os.pipe()
+        answers, answer = os.pipe()
         process = os.fork()
         if process == 0:
             try:
@@ -174,7 +175,8 @@ class ForkedWorker(Forked):
         os.close(asked)
         os.close(answer)
         super().__init__(["twinmatch.fmu.worker"], process)
-        self.stdin, self.stdout = os.fdopen(ask, "wb"), os.fdopen(answers, "rb")
+        self.stdin = os.fdopen(ask, "wb")
+        self.stdout = os.fdopen(answers, "rb")
 
 
 _XML = """<?xml version="1.0" encoding="UTF-8"?>

@@ -16,8 +16,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
-GAIN, LOSS, CAPACITY, ROOM = 0.5, 1.0, 4.0, 20.0  # W/%, W/K, J/K, °C
-PROPORTIONAL, INTEGRAL = 4.0, 2.0  # %/K, %/(K s)
+# W/%, W/K, J/K, °C
+GAIN = 0.5
+LOSS = 1.0
+CAPACITY = 4.0
+ROOM = 20.0
+# %/K, %/(K s)
+PROPORTIONAL = 4.0
+INTEGRAL = 2.0
 LEVELS = (30.0, 40.0)  # °C, by turns
 TOPICS = ("/oven/set_point", "/oven/temperature", "/oven/heater")
 
@@ -26,9 +32,12 @@ class Oven:
     """The oven and its controller, one tick after the other."""
 
     def __init__(self, period: float, hold: int) -> None:
-        self._period, self._hold = period, hold
+        self._period = period
+        self._hold = hold
         self._noise = random.Random(7)
-        self._oven, self._integral, self._tick = ROOM, 0.0, 0
+        self._oven = ROOM
+        self._integral = 0.0
+        self._tick = 0
 
     def step(self) -> tuple[float, float, float]:
         """Set-point and reading, °C, and command, %; then the oven moves on to the next tick."""

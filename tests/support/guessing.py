@@ -33,8 +33,10 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
     The plant is a random walk, which nobody can forecast; to it each twin, and the baseline, adds a random
     walk of its own, of the same size. So all are exchangeable. `better`: factor on the errors of the twins.
     """
-    rng, twins = np.random.default_rng(seed), [f"twin {k}" for k in range(20)]
-    plant, other = _walks(rng, (seconds,)), _walks(rng, (seconds,))
+    rng = np.random.default_rng(seed)
+    twins = [f"twin {k}" for k in range(20)]
+    plant = _walks(rng, (seconds,))
+    other = _walks(rng, (seconds,))
     own = _walks(rng, (len(twins), seconds))
     new = np.minimum(EVERY / np.array(HORIZONS), 1.0)
     ledger = Ledger(new, np.ones(1), exp(-EVERY / MEMORY))
@@ -43,11 +45,13 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
     for now in range(0, seconds, EVERY):
         before = 0
         for place, ahead in enumerate(HORIZONS):
-            at, path = now - ahead, slice(now - ahead + 1 + before, now + 1)
+            at = now - ahead
+            path = slice(now - ahead + 1 + before, now + 1)
             before = ahead
             if at < 0:
                 continue
-            moved, guessed = plant[path] - plant[at], other[path] - other[at]
+            moved = plant[path] - plant[at]
+            guessed = other[path] - other[at]
             errors = better * (moved + own[:, path] - own[:, [at]])
             baselines = np.stack([moved + guessed] * 2)[:, None]
             ledger.add(twins, errors[:, None], baselines, place)
@@ -62,7 +66,8 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
 
 def levels(seed: int, samples: int) -> list[str]:
     """Those of all verdicts on a motor, driven by steps, whose equations are those of its plant file."""
-    rng, model = np.random.default_rng(seed), Motor.model("with friction")
+    rng = np.random.default_rng(seed)
+    model = Motor.model("with friction")
     defaults = model.parameters()
     truth = model.parameters(**{n: defaults[n] * rng.uniform(0.75, 1.25) for n in ("k", "j", "b", "dry")})
     u = np.repeat(rng.uniform(-15.0, 15.0, samples), rng.integers(40, 160, samples))[:samples]

@@ -9,7 +9,9 @@ import numpy as np
 from twinmatch.importing import resample
 from twinmatch.signals import FloatArray, Window
 
-FIRST, SECOND, LID = "exp1_ht3_hg2", "exp2_ht20_hg30", "lid_opening_jan_2021"
+FIRST = "exp1_ht3_hg2"
+SECOND = "exp2_ht20_hg30"
+LID = "lid_opening_jan_2021"
 LIDS = "lid_opening_mar_2021_first"
 PERIOD = 3.0
 
@@ -33,7 +35,8 @@ def read_run(folder: Path, name: str) -> Window:
         {"box": "reading", "heater": "held", "room": "reading"},
         PERIOD,
     ).columns
-    box, room = held["box"], held["room"]
+    box = held["box"]
+    room = held["room"]
     return Window(np.full(box.size, box[0]), box, held["heater"], period=PERIOD, disturbances=room[:, None])
 
 

@@ -102,10 +102,13 @@ def lived_rig(seed: int, kind: str, sessions: int = 12) -> LivedRig:
     names = list(free)
     alike = np.eye(6)
     for one, other, r in _ALIKE:
-        i, j = names.index(one), names.index(other)
+        i = names.index(one)
+        j = names.index(other)
         alike[i, j] = alike[j, i] = r
     true = np.array([_TRUE[name] for name in free])
-    changed, since, sign = str(rng.choice(_CHANGING)), int(rng.integers(3, 9)), float(rng.choice([-1.0, 1.0]))
+    changed = str(rng.choice(_CHANGING))
+    since = int(rng.integers(3, 9))
+    sign = float(rng.choice([-1.0, 1.0]))
     lessons = []
     for number in range(sessions):
         now = true.copy()
@@ -141,12 +144,16 @@ class Told(NamedTuple):
 
 def told_of(rig: LivedRig) -> Told:
     """Look after every session, from the fourth on."""
-    first, kind, size, false = None, "", math.nan, 0
+    first = None
+    kind = ""
+    size = math.nan
+    false = 0
     for count in range(4, len(rig.lessons) + 1):
         changes = report_on(rig.lessons[:count], _PLANT).changes
         right = [c for c in changes if rig.kind != "steady" and rig.changed in c.name.split(" ")]
         false += len(right) < len(changes)
         if right and (rig.kind == "drift" or count > rig.since):
             first = first or count
-            kind, size = right[-1].kind, right[-1].size
+            kind = right[-1].kind
+            size = right[-1].size
     return Told(first, kind, size, false, len(rig.lessons) - 3)

@@ -129,9 +129,14 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
     seed: int = 0, begins: int = BEGINS,
 ) -> Ending:  # fmt: skip
     """Run the loop over set-points, a second each, with a guard that decides twice a second."""
-    size, absolute = len(references), bench.typical.model.plant.output.absolute
-    realised, controller = bench.sensor.realise(size, 1.0, seed), Controller(bench.loop)
-    states, true, ending, seen = begin(plant, plant["ambient"] - absolute), list[float](), Ending(), 0.0
+    size = len(references)
+    absolute = bench.typical.model.plant.output.absolute
+    realised = bench.sensor.realise(size, 1.0, seed)
+    controller = Controller(bench.loop)
+    states = begin(plant, plant["ambient"] - absolute)
+    true = list[float]()
+    ending = Ending()
+    seen = 0.0
     passed = math.inf
     for k, reference in enumerate(references):
         true.append(read(plant, states))
@@ -150,7 +155,8 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
             states = advance(plant, states, passed, 0.5)
         ending.limited += guard.fault is None and passed < command
         if guard.fault is not None and ending.fault is None:
-            ending.fault, ending.after = guard.fault, k - begins
+            ending.fault = guard.fault
+            ending.after = k - begins
         ended = ending.fault is not None and k > begins + (ending.after or 0) + 30
         if ended or (lie is not None and ending.limited > LIMITED):
             break
@@ -159,8 +165,10 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
 
 def whole_kit(seed: int, spread: float = 0.25) -> Parameters:
     """A whole kit, its heater 2 with half to three quarters of the power of heater 1."""
-    random, typical = np.random.default_rng(seed), TCLabBoth.model("sensor lags").typical()
-    low, high = 1.0 - spread, 1.0 + spread
+    random = np.random.default_rng(seed)
+    typical = TCLabBoth.model("sensor lags").typical()
+    low = 1.0 - spread
+    high = 1.0 + spread
     moved = {name: typical[name] * random.uniform(low, high) for name in ("losses", "heating", "exchange")}
     moved["second_heating"] = moved["heating"] * random.uniform(0.5, 0.75)
     return typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
@@ -195,10 +203,13 @@ def lie_to_both(
 ) -> list[Ending]:
     """The same of a kit whose heaters are both driven, behind their gate: the sensor of one channel lies.
     Set-points have shape (N, 2)."""
-    clocks, random = RunTime(), np.random.default_rng(seed)
+    clocks = RunTime()
+    random = np.random.default_rng(seed)
     gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
-    controller, states = Controller(law_of(TCLabBoth, 1.0)), begin(plant, [plant["ambient"] - KELVIN] * 2)
-    true, endings = list[FloatArray](), [Ending(), Ending()]
+    controller = Controller(law_of(TCLabBoth, 1.0))
+    states = begin(plant, [plant["ambient"] - KELVIN] * 2)
+    true = list[FloatArray]()
+    endings = [Ending(), Ending()]
     for k in range(len(references)):
         true.append(readings(plant, states))
         seen = true[-1] + 0.12 * random.standard_normal(2)
@@ -212,7 +223,8 @@ def lie_to_both(
                 ending.highest = max(ending.highest, float(true[-1][number]))
             ending.limited += gate.armed and passed[number] < command[number]
             if ending.fault is None and gate.fault is not None and not gate.armed and k > 1:
-                ending.fault, ending.after = gate.fault, k - BEGINS
+                ending.fault = gate.fault
+                ending.after = k - BEGINS
         if endings[0].fault is not None and k > BEGINS + (endings[0].after or 0) + 60:
             assert not passed.any()
             break

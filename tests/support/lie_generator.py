@@ -40,7 +40,8 @@ AFTER_A_FAULT: Final = 40
 """Time for which a run is followed after a fault, s."""
 BACK: Final = 600
 """Set-points of this time count, s: a plate takes some minutes to cool."""
-ABOVE, WARM = 15.0, 60.0
+ABOVE = 15.0
+WARM = 60.0
 """Beyond is what is this far above the highest set-point, and above this temperature, °C."""
 UPDATED: Final = 10
 """Interval at which room and losses of a plant change, s."""
@@ -199,7 +200,8 @@ def _draw_surroundings(
     random: np.random.Generator, kind: str, samples: int, name: str, begins: float
 ) -> Surroundings:
     since = np.arange(samples) - begins
-    ambient, losses = np.zeros(samples), np.ones(samples)
+    ambient = np.zeros(samples)
+    losses = np.ones(samples)
     if name in {"cools", "warms"}:
         within = float(random.choice((120.0, 1200.0, 7200.0)))
         change = ROOM_CHANGES if name == "warms" else -ROOM_CHANGES
@@ -223,10 +225,12 @@ def _draw_lie(random: np.random.Generator) -> tuple[str, Lie]:
         rate = _between(random, 0.005, 1.0) * (-1.0 if random.random() < 0.85 else 1.0)
         return f"drifts by {rate:+.3f} °C/s", drifting(rate)
     if name == "scale":
-        factor, within = random.uniform(0.5, 0.95), _between(random, 1.0, HOUR)
+        factor = random.uniform(0.5, 0.95)
+        within = _between(random, 1.0, HOUR)
         return f"scaled by {factor:.2f} within {within:.0f} s", scaled(factor, within)
     if name == "sine":
-        amplitude, lasts = random.uniform(5.0, 40.0), _between(random, 300.0, 2.0 * HOUR)
+        amplitude = random.uniform(5.0, 40.0)
+        lasts = _between(random, 300.0, 2.0 * HOUR)
         return f"swings by {amplitude:.0f} °C in {lasts:.0f} s", _swinging(amplitude, lasts)
     if name == "slide":
         within = _between(random, 5.0, HOUR)
@@ -265,11 +269,13 @@ def follow(run: LieRun) -> LieOutcome:
     law = law_of(TCLabBoth, 1.0) if run.kind == "both" else _bench(run.kind).loop
     noisy = 0.06 if run.kind == "rig" else 0.12
     noise = np.random.default_rng(run.seed).normal(0.0, noisy, run.references.shape)
-    clocks, controller = RunTime(), Controller(law)
+    clocks = RunTime()
+    controller = Controller(law)
     gate = OutputGate(clocks, _guards(run.kind))
     states = begin(run.plant, np.full(outputs, run.plant["ambient"] - KELVIN))
     histories: list[list[float]] = [[] for _ in range(outputs)]
-    outcome, plant = LieOutcome(), run.plant
+    outcome = LieOutcome()
+    plant = run.plant
     for k, reference in enumerate(run.references):
         if k % UPDATED == 0:
             plant = _changed(run, k)
@@ -287,7 +293,8 @@ def follow(run: LieRun) -> LieOutcome:
         outcome.limited += int(gate.armed and bool((passed < command).any()))
         _judge(run, k, true, outcome)
         if gate.fault is not None and not gate.armed and k > 1 and not outcome.fault:
-            outcome.fault, outcome.fault_at = gate.fault.kind.value, k
+            outcome.fault = gate.fault.kind.value
+            outcome.fault_at = k
         outcome.seconds = k + 1
         if outcome.fault and k > outcome.fault_at + AFTER_A_FAULT:
             break
@@ -302,4 +309,5 @@ def _judge(run: LieRun, k: int, true: FloatArray, outcome: LieOutcome) -> None:
     beyond = float((true - allowed).max())
     outcome.highest = max(outcome.highest, float(true.max()))
     if beyond > outcome.beyond:
-        outcome.beyond, outcome.at = beyond, k
+        outcome.beyond = beyond
+        outcome.at = k

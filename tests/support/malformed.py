@@ -226,7 +226,8 @@ class Malformed:
         rows = [line.split(",") for line in text.splitlines()]
         for _ in range(self._random.choice(SEVERAL)):
             row = self._random.choice(rows[:2] if self._random.random() < 0.4 else rows)
-            kind, place = self._random.random(), self._random.randrange(len(row) or 1)
+            kind = self._random.random()
+            place = self._random.randrange(len(row) or 1)
             if kind < 0.1:
                 rows.remove(row) if len(rows) > 1 else None
             elif kind < 0.2:

@@ -53,7 +53,8 @@ class Nonsense:
 
     def message(self, kind: Any) -> Any:
         """A message of a type, with every field drawn, or only a few that differ from the default."""
-        message, all_of_it = kind(), self._random.random() < 0.5
+        message = kind()
+        all_of_it = self._random.random() < 0.5
         for name, text in kind.get_fields_and_field_types().items():
             if all_of_it or self._random.random() < 0.3:
                 self._set(message, name, text)

@@ -36,7 +36,8 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
 
     Start and result are [plate, sink, sensor] in K.
     """
-    limit, lag = rig["current_limit"], rig.get("sensor_lag", 0.0)
+    limit = rig["current_limit"]
+    lag = rig.get("sensor_lag", 0.0)
     mass = rig.get("sink_heat_capacity", math.inf)
 
     def rates(_t: float, state: np.ndarray, regime: int) -> list[float]:
@@ -59,7 +60,8 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         return free_current(rig, pwm, state[0], state[1]) + limit
 
     upper.terminal = lower.terminal = True  # type: ignore[attr-defined]
-    now, state = 0.0, np.array(start, dtype=float)
+    now = 0.0
+    state = np.array(start, dtype=float)
     current = free_current(rig, pwm, state[0], state[1])
     regime = int(current > limit) - int(current < -limit)
     while True:
@@ -68,7 +70,8 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         run = solve_ivp(
             rates, (now, period), state, "DOP853", rtol=1e-12, atol=1e-12, events=watch, args=(regime,)
         )
-        now, state = float(run.t[-1]), run.y[:, -1]
+        now = float(run.t[-1])
+        state = run.y[:, -1]
         if run.status != 1:
             return np.array([state[0], state[1], state[2] if lag else state[0]])
         met = watch[next(i for i, times in enumerate(run.t_events) if times.size)]
@@ -114,27 +117,34 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
     coefficients while the limiter rests and a linear one while it acts; x is monotone over a tick.
     """
     a, r, k, c = (rig[name] for name in ("seebeck", "resistance", "conductance", "heat_capacity"))
-    sink, limit = rig["ambient"], rig["current_limit"]
+    sink = rig["ambient"]
+    limit = rig["current_limit"]
     total = r + rig["bridge_resistance"]
-    gain, offset, heat = a / total, -rig["supply"] * pwm / 255.0 / total, ripple(rig, pwm) * r / 2
+    gain = a / total
+    offset = -rig["supply"] * pwm / 255.0 / total
+    heat = ripple(rig, pwm) * r / 2
     second = -a * gain * (1.0 - 0.5 * r / total) / c
     first = -(a * offset * (1.0 - r / total) + a * sink * gain + k) / c
     zeroth = (offset * (0.5 * r * offset - a * sink) + heat) / c
-    x, left = plate - sink, period
+    x = plate - sink
+    left = period
     current = gain * x + offset
     regime = int(current > limit) - int(current < -limit)
     for _ in range(4):
         if regime == 0:
-            quadratic, slope = second, 2.0 * second * x + first
+            quadratic = second
+            slope = 2.0 * second * x + first
             speed = (second * x + first) * x + zeroth
         else:
             held = regime * limit
-            quadratic, slope = 0.0, -(a * held + k) / c
+            quadratic = 0.0
+            slope = -(a * held + k) / c
             speed = slope * x + (held * (0.5 * r * held - a * sink) + heat) / c
         if speed == 0.0:
             break
         direction = 1 if speed > 0.0 else -1
-        edge, leaving = x, math.inf
+        edge = x
+        leaving = math.inf
         if gain > 0.0 and regime != direction:
             threshold = limit if 2 * regime + direction > 0 else -limit
             edge = (threshold - offset) / gain
@@ -142,5 +152,7 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
         if not leaving < left:
             x += riccati_flow(quadratic, slope, speed, left)
             break
-        x, left, regime = edge, left - leaving, regime + direction
+        x = edge
+        left = left - leaving
+        regime = regime + direction
     return sink + x

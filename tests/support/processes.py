@@ -252,7 +252,8 @@ def run_twinmatch(*arguments: object, folder: Path | None = None) -> subprocess.
     Like a new process, it knows no plant file that another command has loaded.
     """
     words = [str(word) for word in arguments]
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     before = Path.cwd()
     os.chdir(folder or before)
     try:

@@ -44,7 +44,8 @@ def write_judged(
 
     Stamps of lost samples have to be given if verdicts were due there.
     """
-    outcomes, stamps = list(outcomes), stamps or {sample.index: sample.stamp for sample in samples}
+    outcomes = list(outcomes)
+    stamps = stamps or {sample.index: sample.stamp for sample in samples}
     matches = [message_of(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
     scores = [message_of(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
     change(matches, scores)

@@ -49,19 +49,25 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
     levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
     heating = np.repeat(levels, 6 * every)
-    store, loss = random.uniform(2.0, 6.0), random.uniform(0.1, 0.25)  # kWh/K, kW/K
-    floor, to_floor = random.uniform(0.5, 2.0), random.uniform(0.2, 0.5)
-    walls, to_walls = random.uniform(8.0, 25.0), random.uniform(0.3, 1.0)
+    # kWh/K, kW/K
+    store = random.uniform(2.0, 6.0)
+    loss = random.uniform(0.1, 0.25)
+    floor = random.uniform(0.5, 2.0)
+    to_floor = random.uniform(0.2, 0.5)
+    walls = random.uniform(8.0, 25.0)
+    to_walls = random.uniform(0.3, 1.0)
     has_floor = stores == 3 or (stores == 2 and seed % 2 == 0)
     has_walls = stores == 3 or (stores == 2 and seed % 2 == 1)
-    to_floor, to_walls = has_floor * to_floor, has_walls * to_walls
+    to_floor = has_floor * to_floor
+    to_walls = has_walls * to_walls
     rates = np.zeros((6, 6))  # air, floor, walls; heating, outside, what else heats
     rates[0] = [-(loss + to_floor + to_walls), to_floor, to_walls, not has_floor, loss, 1.0]
     rates[1] = [to_floor, -to_floor, 0.0, has_floor, 0.0, 0.0]
     rates[2] = [to_walls, 0.0, -to_walls, 0.0, 0.0, 0.0]
     rates[:3] /= np.array([[store], [floor], [walls]])
     moves = expm(rates * period / 3600.0)[:3]
-    states, air = np.full(3, 20.0), np.empty(size)
+    states = np.full(3, 20.0)
+    air = np.empty(size)
     noise = random.normal(0.0, 0.05, size)
     bright = np.repeat(random.uniform(0.0, 1.0, 12), size // 12)  # of each day
     at_home = np.repeat(random.uniform(size=2 * 12) < 0.6, size // 24)  # of each half
@@ -116,10 +122,12 @@ class StoredRoom(Plant, name="stored_room"):
         to_walls = self.to_walls * (self.inner - self.shell)
         rates = {}
         if "floor" in parts:
-            lost, rates[self.slab] = lost + to_floor, (to_floor + self.heating) / self.floor / 3600.0
+            lost = lost + to_floor
+            rates[self.slab] = (to_floor + self.heating) / self.floor / 3600.0
         else:
             lost = lost - self.heating
         if "walls" in parts:
-            lost, rates[self.shell] = lost + to_walls, to_walls / self.walls / 3600.0
+            lost = lost + to_walls
+            rates[self.shell] = to_walls / self.walls / 3600.0
         rates[self.inner] = -lost / self.store / 3600.0
         return Equations(rates=rates, output=self.inner, start=dict.fromkeys(rates, self.air))

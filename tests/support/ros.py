@@ -119,8 +119,10 @@ class Inside:
         """The line or the traceback with which it ended."""
         self.asked = False
         """Whether the test has asked for its exit code."""
-        self._name, self._code = name, 0
-        self._nodes, self._stop = Nodes(Context()), threading.Event()
+        self._name = name
+        self._code = 0
+        self._nodes = Nodes(Context())
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
         if not kinds:
             kinds = nodes_of(name)
@@ -166,6 +168,8 @@ class Inside:
         try:
             work()
         except TwinmatchError as error:
-            self.text, self._code = f"{error}\n", error.NODE_EXIT
+            self.text = f"{error}\n"
+            self._code = error.NODE_EXIT
         except Exception:
-            self.text, self._code = traceback.format_exc(), EXIT_DEFECT
+            self.text = traceback.format_exc()
+            self._code = EXIT_DEFECT

@@ -18,7 +18,8 @@ UPGRADE = (
 
 def exchange(url: str, request: bytes, patience: float = 10.0) -> bytes:
     """What a server answers to these bytes, with nothing after them, until it closes or has sent a page."""
-    place, answer = urlsplit(url), b""
+    place = urlsplit(url)
+    answer = b""
     with socket.create_connection((place.hostname, place.port), timeout=patience) as connection:
         with suppress(OSError):  # it may have closed already
             connection.sendall(request)

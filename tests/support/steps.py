@@ -19,10 +19,13 @@ def quarter_of_an_hour() -> list[Sample]:
 
 def drive_lost(at: int = 640) -> list[Sample]:
     """Twelve minutes of 720 samples; from one of them on the drive does nothing."""
-    plant, pid, samples = rig(seebeck=0.06, conductance=0.6, heat_capacity=28.0), Controller(GAINS), []
+    plant = rig(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+    pid = Controller(GAINS)
+    samples = []
     states = begin(plant, 22.85)
     for k, error in enumerate(np.random.default_rng(5).normal(0.0, 0.1, 720)):
-        r, y = (40.0, 70.0, 45.0, 80.0)[k // 200], read(plant, states) + float(error)
+        r = (40.0, 70.0, 45.0, 80.0)[k // 200]
+        y = read(plant, states) + float(error)
         u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
         states = advance(plant, states, 0.0 if k >= at else u, GAINS.period)

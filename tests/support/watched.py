@@ -93,7 +93,8 @@ def watched(
     samples = tuple(samples)
     if kind not in _SEEN:
         _SEEN[kind] = _Seen(begin())
-    seen, place = _SEEN[kind], 0
+    seen = _SEEN[kind]
+    place = 0
     while samples[place : place + _BLOCK] in seen.later:
         seen = seen.later[samples[place : place + _BLOCK]]
         place += _BLOCK

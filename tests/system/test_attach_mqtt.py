@@ -45,7 +45,8 @@ class Home:
     """A broker, the page's home behind it, and the page's files."""
 
     def __init__(self, folder: Path, processes: Processes) -> None:
-        self.folder, self._processes = folder, processes
+        self.folder = folder
+        self._processes = processes
         self.broker = RunningBroker(folder / "broker", require("amqtt"))
         for name, text in FILES.items():
             own = text.replace("mqtt://127.0.0.1", self.broker.url).replace("1883", str(self.broker.port))

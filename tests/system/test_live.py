@@ -57,7 +57,8 @@ class LiveRun:
         disk: Path | None = None,
     ) -> None:
         """With a stand-in of the board and few messages, which halves the work; or all as it is, `auto`."""
-        self.folder, self.session = folder, (disk or folder) / "run"
+        self.folder = folder
+        self.session = (disk or folder) / "run"
         config = folder / "rig.yaml"
         config.write_text(
             "controller:\n  ros__parameters:\n"
@@ -214,7 +215,8 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
 @contextmanager
 def forger(listener: Listener, seconds: float) -> Iterator[None]:
     """Somebody who publishes a /clock of his own beside that of the run."""
-    published, ended = listener.node.create_publisher(Clock, "/clock", 10), threading.Event()
+    published = listener.node.create_publisher(Clock, "/clock", 10)
+    ended = threading.Event()
 
     def forge() -> None:
         for k in count():

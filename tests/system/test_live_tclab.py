@@ -36,7 +36,8 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
         "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [20.0, 140.0, 40.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
     )
-    twin, session = tmp_path / "twin.yaml", tmp_path / "run"
+    twin = tmp_path / "twin.yaml"
+    session = tmp_path / "run"
     schedule = "{span: 120, min_span: 60, lead: 10}"
     twin.write_text(f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n")
     words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--twin-config", twin)

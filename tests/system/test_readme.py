@@ -214,7 +214,8 @@ def bag(folder: Path, plant: None) -> None:  # noqa: ARG001
         return
     made: list[tuple[float, str, Any]] = []
     for tick in range(100):
-        at, left = tick / 10, 0.9**tick
+        at = tick / 10
+        left = 0.9**tick
         made.append((at, "/sp", number(30.0)))
         made.append((at, "/camera", temperature(at, 30.0 - 10.0 * left)))
         made.append((at, "/cmd", number(20.0 + 40.0 * left)))

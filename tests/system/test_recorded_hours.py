@@ -38,7 +38,8 @@ SHORTEST = 2
 OTHERS = tuple(number for number in HEALTHY if number != SHORTEST)
 ALL_HOURS = pytest.mark.long("judges six real hours, and forecasts from every twentieth sample of them")
 LOST_DRIVE = 27
-AHEAD, EVERY = 300, 20
+AHEAD = 300
+EVERY = 20
 AT = (10, 60, 300)
 BEGINNING = 400
 """Samples within which the first window of an hour is complete."""
@@ -75,8 +76,10 @@ class Hour:
         k = sample.index - self.samples[0].index
         if k + AHEAD >= len(self.samples):
             return
-        coming, forecaster = slice(k + 1, k + 1 + AHEAD), twin.discriminator.forecaster
-        reference, signals = self._reference[coming], self._signals
+        coming = slice(k + 1, k + 1 + AHEAD)
+        forecaster = twin.discriminator.forecaster
+        reference = self._reference[coming]
+        signals = self._signals
         for verdict in outcome.verdicts:
             if verdict.stands:
                 continue

@@ -161,7 +161,8 @@ def test_candidates_start_over_behind_a_sample_that_was_half_taken(
     fresh = Twin()
     later = [verdict for sample in samples[BREAKS + 1 :] for verdict in fresh.push(sample).verdicts]
     assert [verdict.sample for verdict in later] == [v.sample for v in verdicts if v.sample > BREAKS]
-    newest, expected = verdicts[-1], later[-1]
+    newest = verdicts[-1]
+    expected = later[-1]
     assert newest.candidates == expected.candidates
     assert newest.candidates
     assert [f.parameters for f in newest.forecasts] == [f.parameters for f in expected.forecasts]
@@ -194,7 +195,8 @@ def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_ver
 
 def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """A monitor without a past knows nothing of a drive that was lost; nobody has seen it come back."""
-    steps, twin = drive_lost(), Twin()
+    steps = drive_lost()
+    twin = Twin()
     broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
         verdicts = run(steps, broken, twin, at=690)

@@ -49,7 +49,8 @@ def ending(twin: Twin, verdicts: list[Verdict]) -> tuple[object, ...]:
 
 def test_a_reading_that_is_refused_changes_nothing(recorded_hour: Callable[[int], Window]) -> None:
     """Forecasts are saved at 600 and 1800; the drive is lost from 2235 on."""
-    samples, instants = samples_of(recorded_hour(27))[:2400], (40, 239, 600, 1337, 1800, 2240)
+    samples = samples_of(recorded_hour(27))[:2400]
+    instants = (40, 239, 600, 1337, 1800, 2240)
     twin, told = judged(spiked(samples, {k: samples[k].output + 30.0 for k in instants}))
     alarms = [
         v.sample for v in told if v.fault == Fault.SENSOR_IMPLAUSIBLE.value and v.fault_since == v.sample
@@ -67,8 +68,11 @@ def test_neither_range_nor_windows_hold_a_refused_reading(
 ) -> None:
     session = simulated_session[:280]
     came = [s for s in spiked(session, spikes) if s.index not in lost]
-    low, high = min(s.output for s in session), max(s.output for s in session)
-    door, schedule, arx = Door.of(SETTINGS), Schedule(SETTINGS.schedule), Arx(SETTINGS.law, 0.99)
+    low = min(s.output for s in session)
+    high = max(s.output for s in session)
+    door = Door.of(SETTINGS)
+    schedule = Schedule(SETTINGS.schedule)
+    arx = Arx(SETTINGS.law, 0.99)
     windows = []
     for sample in came:
         *before, settled = door.take(sample)

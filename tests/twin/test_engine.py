@@ -20,7 +20,9 @@ def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -
     """Steps between 40 and 70 °C; the drive is lost for twenty samples and comes back."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, states, samples = Controller(Peltier.loop), begin(rig, 22.85), []
+    pid = Controller(Peltier.loop)
+    states = begin(rig, 22.85)
+    samples = []
     for k in range(ticks):
         r = (40.0, 70.0)[(k // 200) % 2]
         y = read(rig, states) + float(noise[k])

@@ -23,7 +23,8 @@ def judged(simulated_outcomes: list[Outcome]) -> list[Verdict]:
 
 
 def test_it_is_the_gap_between_the_candidates_plants(judged: list[Verdict]) -> None:
-    last, settings = judged[-1], TwinSettings()
+    last = judged[-1]
+    settings = TwinSettings()
     terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
     again = plant_gaps([c.parameters for c in last.candidates], last.nu_gap_points, terms)
     np.testing.assert_array_equal(last.nu_gap, again.matrix)
@@ -62,7 +63,8 @@ def test_what_matches_leave_open_makes_the_intervals(judged: list[Verdict]) -> N
 
 def test_the_nominal_plant_is_near_the_rig(judged: list[Verdict]) -> None:
     """The rig has a sink with mass, the candidates have none; a plate half as heavy is farther off."""
-    last, settings = judged[-1], TwinSettings()
+    last = judged[-1]
+    settings = TwinSettings()
     terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
     nominal = next(c.parameters for c in last.candidates if c.name == last.nominal)
     light = nominal.replace(heat_capacity=nominal["heat_capacity"] / 2)
@@ -79,7 +81,8 @@ def test_a_given_candidate_of_another_structure_is_compared_and_exact(
     last = verdicts[-1]
     names = [c.name for c in last.candidates]
     assert {"massive", "again"} < set(names)
-    one, other = names.index("massive"), names.index("again")
+    one = names.index("massive")
+    other = names.index("again")
     assert last.nu_gap[one][other] == 0.0
     assert last.candidates[one].nu_gap_high[other] == 0.0
     matched = next(k for k, name in enumerate(names) if name not in {"massive", "again"})

@@ -30,7 +30,9 @@ class Unmoved(Lag, name="unmoved"):
 
 PROMPT = InputEffect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))
 """The output follows the input at once, unit by unit."""
-CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead
+CAPACITY = SETTINGS.capacity
+SPAN = SETTINGS.span
+LEAD = SETTINGS.lead
 
 
 def run(heater: np.ndarray, output: np.ndarray | None = None, first: int = 0) -> list[Trigger]:
@@ -115,7 +117,8 @@ def test_equations_that_say_nothing_leave_a_quarter_of_the_range() -> None:
 @pytest.mark.parametrize(("width", "point"), [(5.0, 37.2), (50.0, 37.0), (100.0, 40.0)])
 def test_the_operating_point_is_where_the_output_came_to(width: float, point: float) -> None:
     schedule = Schedule(SETTINGS, effect=PROMPT, width=width)
-    heater, output = steps((0.0, 100), (50.0, 300)), np.linspace(20.0, 37.2, 400)
+    heater = steps((0.0, 100), (50.0, 300))
+    output = np.linspace(20.0, 37.2, 400)
     output[280:] = 37.2
     pushed = [schedule.push(Sample(k, k, 0.0, output[k], heater[k])) for k in range(400)]
     assert [t.operating_point for t in pushed if t is not None and t.excited] == [point]
@@ -137,7 +140,8 @@ REGIMES = st.lists(st.tuples(st.sampled_from([0.0, 4.0, 50.0, 100.0]), st.intege
 @given(regimes=REGIMES, cut=st.integers(1, 2000))
 def test_triggers_depend_on_the_samples_before_them_alone(regimes: list[tuple[float, int]], cut: int) -> None:
     heater = steps((0.0, 50), *regimes)
-    whole, part = run(heater), run(heater[:cut])
+    whole = run(heater)
+    part = run(heater[:cut])
     assert [t.sample for t in part] == [t.sample for t in whole if t.sample < cut]
     for mine, other in zip(part, whole, strict=False):
         assert (mine.excited, mine.window.first) == (other.excited, other.window.first)

@@ -19,8 +19,11 @@ from twinmatch.twin.knowledge import Knowledge, MatchResult, trust_of, verdict_o
 from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck
 
-INSIDE, OUTSIDE = BandCheck(0.6, 0.9, 0.6, 0.9), BandCheck(0.6, 0.9, 3.0, 0.1)
-WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
+INSIDE = BandCheck(0.6, 0.9, 0.6, 0.9)
+OUTSIDE = BandCheck(0.6, 0.9, 3.0, 0.1)
+WELL = (0.5, 0.5)
+POOR = (-0.5, -0.5)
+MIXED = (0.5, -0.5)
 UNSURE = (
     "60 s ahead its forecasts are not surely better than saying that nothing changes, "
     "with 1.50 times the error"
@@ -184,7 +187,8 @@ def test_a_verdict_names_the_fault_that_there_is_and_not_a_suspicion() -> None:
 
 def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
     sink = "sink with mass"
-    one, best = score("one", structure=sink, gain=4.0), score("best", structure=sink, gain=6.0)
+    one = score("one", structure=sink, gain=4.0)
+    best = score("best", structure=sink, gain=6.0)
     new = dataclasses.replace(score("new", structure=sink, gain=9.0), gain=math.nan)
     every = (score(gain=99.0), new, one, best)
     assert verdict_of(known(structure=sink, forecasts=every)).structure_parameters == best.parameters
@@ -208,7 +212,8 @@ def test_the_structure_has_parameters_of_its_own_and_a_leaders_if_it_has_that_st
 
 def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Sample]) -> None:
     """The plate may have 120 °C, but cannot have jumped there and back."""
-    twin, spike = Twin(), 911
+    twin = Twin()
+    spike = 911
     told: list[Verdict] = []
     for sample in simulated_session[: spike + 120]:
         reading = 120.0 if sample.index == spike else sample.output

@@ -20,7 +20,8 @@ from twinmatch.twin import Snapshot, Twin, TwinSettings
 from twinmatch.twin.experiment import ExperimentError, ExperimentPhase, ExperimentReport, Wish
 from twinmatch.twin.live_experiment import LiveExperiment
 
-TAUGHT, HIGHEST = 600, 70.0
+TAUGHT = 600
+HIGHEST = 70.0
 """Samples before an experiment, and the controller's highest set-point, °C."""
 SETTINGS = TwinSettings.of(Peltier)
 
@@ -30,7 +31,8 @@ class Rig:
 
     def __init__(self) -> None:
         self.truth = Peltier.model("sink with mass, free ambient").parameters()
-        self.twin, self.loop = Twin(SETTINGS), Loop(Peltier)
+        self.twin = Twin(SETTINGS)
+        self.loop = Loop(Peltier)
         self.random, self.states, self.k = np.random.default_rng(1), begin(self.truth, [23.0]), 0
         self.verdict: Verdict | None = None
 
@@ -58,10 +60,12 @@ def run() -> tuple[list[ExperimentReport], list[Sample], Snapshot, Rig]:
         rig.sample(lambda at: 30.0 if at < 300.0 else 45.0)
     before = rig.snapshot
     live = LiveExperiment(SETTINGS, Wish("parameters", 4.0, ranges=((20.0, HIGHEST),)), before)
-    reports, samples = [live.report, live.run()], []
+    reports = [live.report, live.run()]
+    samples = []
     while reports[-1].phase is ExperimentPhase.RUNNING:
         now = reports[-1]
-        course, begun = Profile(now.levels, now.holds, lowest=0.0, highest=90.0, unit="°C"), rig.loop.time
+        course = Profile(now.levels, now.holds, lowest=0.0, highest=90.0, unit="°C")
+        begun = rig.loop.time
         while True:
             samples.append(rig.sample(course.reference, begun))
             live.push(samples[-1])

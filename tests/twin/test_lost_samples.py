@@ -100,7 +100,9 @@ def test_the_law_says_when_a_set_point_moved_that_nobody_saw(
 
 def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[[int], Window]) -> None:
     """And a lost input is a third as wrong as a held one, all of the seven hours' steps taken together."""
-    placed, off, off_held = [], [], []
+    placed = []
+    off = []
+    off_held = []
     for number in (1, 2, 5, 9, 14, 20, 27):
         samples = samples_of(recorded_hour(number))
         steps = [k for k in range(61, len(samples) - 3) if samples[k].reference != samples[k - 1].reference]
@@ -147,7 +149,8 @@ def test_samples_lost_at_random_change_little_and_restart_nothing(
     for verdict, whole in zip(verdicts_of(outcomes), verdicts_of(simulated_outcomes), strict=True):
         assert (verdict.match, verdict.level) == (whole.match, whole.level)
         assert {c.name for c in verdict.modelled} == {c.name for c in whole.modelled}
-    last, whole = verdicts_of(outcomes)[-1], verdicts_of(simulated_outcomes)[-1]
+    last = verdicts_of(outcomes)[-1]
+    whole = verdicts_of(simulated_outcomes)[-1]
     assert abs(last.inside_y - whole.inside_y) < 0.1
     of = {c.name: c.parameters for c in whole.modelled}
     for candidate in last.modelled:

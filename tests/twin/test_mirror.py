@@ -37,7 +37,8 @@ def test_with_the_plants_own_parameters_nothing_is_left() -> None:
 
 
 def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
-    window, other = plant_run(), HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
+    window = plant_run()
+    other = HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
     mirror = Mirror(other)
     driven = [mirror.push(s).driven_output[0] for s in samples_of(window)]
     simulated = simulate_driven(other, window.input, states=begin(other, float(window.output[0])))
@@ -73,7 +74,8 @@ def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
 
 
 def test_residuals_of_a_window() -> None:
-    window, law = plant_run(), TwinSettings().law
+    window = plant_run()
+    law = TwinSettings().law
     exact = residuals(RIG, window, law)
     assert exact.y < 1e-9
     assert exact.u < 1e-6
@@ -113,7 +115,8 @@ def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samp
     reference = np.repeat([40.0, 90.0, 80.0], 250)
     run = simulate_closed_loop(plant, reference, states=begin(plant, 22.85))
     samples = samples_of(Window(reference, run.output, run.input))
-    always, late = Mirror(plant), Mirror(RIG)
+    always = Mirror(plant)
+    late = Mirror(RIG)
     for sample in samples[:-1]:
         there = always.push(sample)
         late.push(sample)
@@ -123,7 +126,8 @@ def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samp
     assert away > 3.0
     late.parameters = plant
     following = dataclasses.replace(samples[-1], index=samples[-1].index + 1)
-    here, there = late.push(following), always.push(following)
+    here = late.push(following)
+    there = always.push(following)
     for twin in ("closed_states", "driven_states"):
         assert abs(getattr(here, twin)["sink"] - getattr(there, twin)["sink"]) < away / 10
     assert abs(here.driven_output[0] - driven) < 2.0

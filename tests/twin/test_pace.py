@@ -81,7 +81,8 @@ def test_a_time_constant_is_a_number_of_seconds() -> None:
 def test_windows_and_horizons_last_some_time_constants(samples: float) -> None:
     """Whatever the number of samples in one; with very few or very many, the number of samples decides."""
     period = 5.0 / samples
-    schedule, forecasts = ScheduleSettings.of(Lag, period), TwinSettings.of(Lag, period=period).forecasts
+    schedule = ScheduleSettings.of(Lag, period)
+    forecasts = TwinSettings.of(Lag, period=period).forecasts
     longest = forecasts.horizons[-1] / period
     assert 60 <= round(longest, 6) <= 1200
     assert 432 <= schedule.capacity <= 2880
@@ -133,7 +134,8 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
 
 def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> list[Verdict]:
     """Verdicts on a simulated plant with so many samples in its lag, whose drive is lost at a sample."""
-    period, random = lag / samples, np.random.default_rng(1)
+    period = lag / samples
+    random = np.random.default_rng(1)
     u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 40), 25)
     truth = plant.model().parameters(gain=2.3)
     acting = np.where(np.arange(u.size) < lost, u, 0.0)

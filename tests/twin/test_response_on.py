@@ -57,9 +57,11 @@ def test_a_wrong_twin_stays_wrong() -> None:
 
 
 def test_a_closed_loop_twin_begins_as_ever() -> None:
-    motor, steps = Motor.model().parameters(), np.repeat([20.0, 60.0, 40.0], 80)
+    motor = Motor.model().parameters()
+    steps = np.repeat([20.0, 60.0, 40.0], 80)
     window = Window(steps, steps + 0.1, np.full(240, 3.0), period=0.05, disturbances=np.zeros((240, 1)))
-    shown, filed = response_on(motor, window, Motor.loop), simulate_window(motor, window)
+    shown = response_on(motor, window, Motor.loop)
+    filed = simulate_window(motor, window)
     np.testing.assert_array_equal(shown.output, filed.output)
     np.testing.assert_array_equal(shown.input, filed.input)
 

@@ -97,9 +97,11 @@ def test_trust_is_said_of_each_signal(in_loop: list[Verdict]) -> None:
 
 
 def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
-    samples, right = looped(100), looped(100)
+    samples = looped(100)
+    right = looped(100)
     for k in range(200, 240):
-        y, u = samples[k].outputs, samples[k].inputs
+        y = samples[k].outputs
+        u = samples[k].inputs
         samples[k] = Sample(k, samples[k].stamp, samples[k].references, (y[0], math.nan), u)
     twin = Twin(TwinSettings.of(Heaters, law=None))
     outcomes = [twin.push(sample) for sample in samples]
@@ -132,10 +134,14 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest
 def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -> None:
     """A controller whose first loop takes what the twin says T1 should read, as the kit's does: from the
     beginning of the lie on it holds T1, and with `read_through` the twin knows what its law was given."""
-    loop, truth = Loop(TCLabBoth), typical()
+    loop = Loop(TCLabBoth)
+    truth = typical()
     settings = TwinSettings.of(TCLabBoth)
-    told, plain = Twin(replace(settings, read_through=("temperature",))), Twin(settings)
-    random, states, known = np.random.default_rng(5), begin(truth, [23.0, 23.0]), dict[str, float]()
+    told = Twin(replace(settings, read_through=("temperature",)))
+    plain = Twin(settings)
+    random = np.random.default_rng(5)
+    states = begin(truth, [23.0, 23.0])
+    known = dict[str, float]()
     errors: list[list[float]] = []
     for k in range(1100):
         level = 35.0 if k < 300 else 45.0

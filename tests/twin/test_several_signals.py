@@ -18,7 +18,9 @@ from twinmatch.twin import Forecaster, ForecastSettings, Mirror, choose_structur
 
 TRUTH = Heaters.model().parameters(exchange=0.03, first_gain=0.012, loss=0.008)
 WRONG = TRUTH.replace(exchange=0.01, second_gain=0.014)
-PERIOD, MATCHED, COUNT = 2.0, 400, 1500
+PERIOD = 2.0
+MATCHED = 400
+COUNT = 1500
 SETTINGS = ForecastSettings(horizons=(20.0, 120.0, 300.0))
 LAW = LinearLaw(
     A=np.eye(2), B=-0.1 * np.eye(2), C=0.2 * np.eye(2), D=[[-4.0, 0.5], [0.3, -5.0]],
@@ -40,10 +42,14 @@ def driven() -> Window:
 @cache
 def closed() -> Window:
     """Under a law with two outputs and inputs that acts on noisy readings."""
-    rng, x, z, rows = np.random.default_rng(6), np.array([23.0, 23.0]), np.zeros(2), []
+    rng = np.random.default_rng(6)
+    x = np.array([23.0, 23.0])
+    z = np.zeros(2)
+    rows = []
     steps = rng.uniform(30.0, 60.0, (10, 2))
     for k in range(600):
-        r, y = steps[k // 60], x + 0.1 * rng.standard_normal(2)
+        r = steps[k // 60]
+        y = x + 0.1 * rng.standard_normal(2)
         u = np.clip(LAW.C @ z + LAW.D @ y + LAW.E @ r + LAW.offset, LAW.low, LAW.high)
         z = LAW.A @ z + LAW.B @ y + LAW.F @ r
         rows.append(np.concatenate([r, y, u]))
@@ -63,7 +69,9 @@ def matched() -> Candidate:
 @cache
 def judged() -> tuple[Forecaster, dict[int, Outlook], list[float]]:
     """The forecaster after all samples, an outlook every hundred samples, and the shares inside bands."""
-    forecaster, outlooks, inside = Forecaster(None, SETTINGS, period=PERIOD), {}, []
+    forecaster = Forecaster(None, SETTINGS, period=PERIOD)
+    outlooks = {}
+    inside = []
     for sample in samples_of(driven()):
         forecaster.push(sample)
         if sample.index == MATCHED:
@@ -90,7 +98,9 @@ def test_who_has_the_right_physics_leads() -> None:
 def test_each_output_has_a_band_of_its_own_that_holds() -> None:
     """Nine in ten of 150 samples ahead, from nine outlooks: σ of a share is about 0.05, as errors last."""
     _, outlooks, inside = judged()
-    window, shares, widths = driven(), [], []
+    window = driven()
+    shares = []
+    widths = []
     for at, outlook in outlooks.items():
         if at + 150 >= COUNT:
             continue
@@ -131,7 +141,8 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
             inside.append((check.inside_y, check.inside_u))
     assert forecaster.leader == "right"
     assert (np.mean(inside, axis=0) > 0.75).all(), inside
-    outlook, ahead = forecaster.outlook(), np.tile(window.references[-1], (100, 1))
+    outlook = forecaster.outlook()
+    ahead = np.tile(window.references[-1], (100, 1))
     forecast = outlook.forecast(ahead)
     begun = advance(TRUTH, outlook.states, outlook.sample.inputs, PERIOD)
     run = simulate_closed_loop(TRUTH, ahead, states=begun, law=LAW, controller=outlook.controller)
@@ -162,9 +173,11 @@ def test_both_twins_run_beside_it() -> None:
     """A plant that is the twin leaves nothing, in closed loop nor driven."""
     steps = np.repeat([[45.0, 38.0], [55.0, 40.0]], 60, axis=0)
     run = simulate_closed_loop(TRUTH, steps, states=begin(TRUTH, [40.0, 35.0]), law=LAW)
-    mirror, other = Mirror(TRUTH, LAW), Mirror(WRONG, None, period=PERIOD)
+    mirror = Mirror(TRUTH, LAW)
+    other = Mirror(WRONG, None, period=PERIOD)
     for sample in samples_of(Window(steps, run.outputs, run.inputs, period=PERIOD)):
-        state, alone = mirror.push(sample), other.push(sample)
+        state = mirror.push(sample)
+        alone = other.push(sample)
         np.testing.assert_allclose(state.closed_output, sample.outputs, atol=1e-9)
         np.testing.assert_allclose(state.closed_input, sample.inputs, atol=1e-9)
         np.testing.assert_allclose(state.driven_residual_y, [0.0, 0.0], atol=1e-9)

@@ -11,14 +11,17 @@ from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
 PERIOD = 30.0
-LAG, GAIN = 45.0, 2.0
+LAG = 45.0
+GAIN = 2.0
 
 
 def recording(size: int = 800, shift: float = 0.0) -> list[Sample]:
     """Steps of the input, 100 samples each; from sample 750 on the output is shifted."""
     rng = np.random.default_rng(7)
     levels = (0.0, 6.0, -3.0, 8.0, 2.0, -7.0, 5.0)
-    x, kept, samples = 0.0, np.exp(-PERIOD / LAG), []
+    x = 0.0
+    kept = np.exp(-PERIOD / LAG)
+    samples = []
     for k in range(size):
         u = levels[k // 100 % len(levels)]
         y = x + rng.normal(0.0, Lag.output.noise) + (shift if k >= 750 else 0.0)

@@ -98,7 +98,8 @@ def test_times_are_scaled_for_slow_samples(hour: Window) -> None:
 
 
 def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
-    schedule, fits = Schedule(), choices_only()
+    schedule = Schedule()
+    fits = choices_only()
     triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
     assert any(t.excited for t in triggers)
     choices = [c for c in (chosen(fits, t.window) for t in triggers) if c]
@@ -152,14 +153,17 @@ def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_record
 
 def test_the_plant_now_follows_a_plant_that_changes() -> None:
     """From one window to the next the plate has got heavier; each time the newest samples count."""
-    fits, heavy = candidates_only(), RIG.replace(heat_capacity=40.0)
-    first, second = now(fits, recorded(RIG, 4)), now(fits, recorded(heavy, 5, first=5000))
+    fits = candidates_only()
+    heavy = RIG.replace(heat_capacity=40.0)
+    first = now(fits, recorded(RIG, 4))
+    second = now(fits, recorded(heavy, 5, first=5000))
     assert apart(first, RIG) < apart(first, heavy)
     assert apart(second, heavy) < apart(second, RIG)
 
 
 def test_after_a_fault_the_plant_now_starts_over() -> None:
-    fits, window = candidates_only(), recorded(RIG, 6)
+    fits = candidates_only()
+    window = recorded(RIG, 6)
     first = now(fits, window)
     assert fits.plant_now() is not None
     fits.expel(window.last + 1, window.last + 2)
@@ -171,13 +175,15 @@ def test_after_a_fault_the_plant_now_starts_over() -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_candidate_is_near_the_plant_that_was_recorded(seed: int) -> None:
-    fits, other = candidates_only(), RIG.replace(heat_capacity=40.0)
+    fits = candidates_only()
+    other = RIG.replace(heat_capacity=40.0)
     fits.push(recorded(RIG, seed), excited=True)
     assert apart(rich(fits), RIG) < 0.5 * apart(other, RIG)
 
 
 def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> None:
-    fits, window = candidates_only(), recorded(RIG, 2)
+    fits = candidates_only()
+    window = recorded(RIG, 2)
     fits.push(window, excited=True)
     assert {c.parameters.model for c in fits.candidates} == set(watched(Peltier)[1:])
     best = fits.candidates[0]
@@ -192,14 +198,16 @@ def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> N
 
 def test_a_structure_that_is_watched_later_competes_at_once() -> None:
     """It is fitted to the samples that are kept, and the others are left as they are."""
-    fits, window = candidates_only(watched(Peltier)[:2]), recorded(RIG, 2)
+    fits = candidates_only(watched(Peltier)[:2])
+    window = recorded(RIG, 2)
     fits.push(window, excited=True)
     before = fits.candidates
     fits.watch([RIG.model])
     fits.watch([RIG.model, *watched(Peltier)[:2]])
     assert {c.name for c in fits.candidates} == {before[0].name, RICHEST}
     assert before[0] in fits.candidates
-    late, early = rich(fits), candidates_only()
+    late = rich(fits)
+    early = candidates_only()
     early.push(window, excited=True)
     assert late == rich(early)
     found = fits.plant_now()
@@ -208,7 +216,9 @@ def test_a_structure_that_is_watched_later_competes_at_once() -> None:
 
 
 def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:
-    few, quiet, window = candidates_only(), candidates_only(), recorded(RIG, 1)
+    few = candidates_only()
+    quiet = candidates_only()
+    window = recorded(RIG, 1)
     assert few.plant_now() is None
     few.push(window.part(0, 40), excited=True)
     assert not few.candidates
@@ -218,7 +228,8 @@ def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:
 
 
 def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
-    fits, window = candidates_only(), recorded(RIG, 1)
+    fits = candidates_only()
+    window = recorded(RIG, 1)
     lasts = []
     for first, last, excited in ((0, 300, True), (301, 600, False), (601, 950, False)):
         fits.push(window.part(first, last), excited=excited)
@@ -227,7 +238,8 @@ def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
 
 
 def test_a_plant_that_has_changed_is_fitted_to_later_samples() -> None:
-    fits, heavy = candidates_only(), RIG.replace(heat_capacity=45.0)
+    fits = candidates_only()
+    heavy = RIG.replace(heat_capacity=45.0)
     fits.push(recorded(RIG, 6), excited=True)
     fits.cut(1000)
     fits.push(recorded(heavy, 7, first=1000), excited=True)
@@ -236,7 +248,8 @@ def test_a_plant_that_has_changed_is_fitted_to_later_samples() -> None:
 
 
 def test_who_was_fitted_to_a_fault_has_to_go() -> None:
-    fits, window = candidates_only(), recorded(RIG, 6)
+    fits = candidates_only()
+    window = recorded(RIG, 6)
     fits.push(window.part(0, 500), excited=True)
     assert not fits.expel(600, 700)
     gone = fits.expel(450, 520)

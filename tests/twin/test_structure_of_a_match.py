@@ -39,7 +39,8 @@ def kit(late: int, seed: int, size: int = 480) -> list[Sample]:
     plant = TCLab.model("sensor lag").typical().replace(ambient=random.uniform(291.0, 298.0), sensor_lag=8.0)
     power = np.repeat(random.uniform(0.0, 100.0, size), random.integers(8, 30, size))[:size]
     power[:10] = 0.0  # at rest: the start of the heater's temperature is the first reading
-    states, samples = begin(plant, plant["ambient"] - 273.15), []
+    states = begin(plant, plant["ambient"] - 273.15)
+    samples = []
     for k in range(size):
         reading = read(plant, states) + 0.1 * random.standard_normal()
         samples.append(Sample(k, round(k * PERIOD * 1e9), reading, reading, float(power[k])))
@@ -64,7 +65,8 @@ def structure_of_leader(verdict: Verdict) -> str:
 @pytest.mark.parametrize(("late", "seed"), [(2, 1), (3, 2)])
 def test_a_dead_time_is_found(late: int, seed: int) -> None:
     found = judged(kit(late, seed))
-    first, last = found.matches[0].match, found.verdicts[-1]
+    first = found.matches[0].match
+    last = found.verdicts[-1]
     assert first.accepted
     assert structure_of(first) == LATE
     assert first.parameters["dead_time"] == pytest.approx(PERIOD * late, abs=PERIOD / 3.0)

@@ -148,7 +148,8 @@ def test_it_begins_undecided_and_counts() -> None:
 
 
 def test_within_three_per_cent_counts_as_right() -> None:
-    right, wrong = LeaderConfidence(1.0), LeaderConfidence(1.0)
+    right = LeaderConfidence(1.0)
+    wrong = LeaderConfidence(1.0)
     right.add(1.029, 1.0)
     wrong.add(1.031, 1.0)
     assert right.share > 0.5 > wrong.share

@@ -85,7 +85,9 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
 
     Nobody waits for one that comes twice, or of a window that was never asked for.
     """
-    judge, settings, lateness = Discriminator(), TwinSettings(), cycle((1, 37, 250))
+    judge = Discriminator()
+    settings = TwinSettings()
+    lateness = cycle((1, 37, 250))
     reports = matches_of(simulated_outcomes)
     due: list[tuple[int, MatchReport]] = []
     verdicts: list[Verdict] = []
@@ -98,7 +100,8 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
             due.append((now + (next(lateness) if now < 1500 else 10_000), report))
 
     def answer(now: int) -> None:
-        report, request = due.pop(0)[1], judge.request
+        report = due.pop(0)[1]
+        request = judge.request
         assert judge.push_match(next(m for m in reports if m is not report)) == Step((), None)
         assert judge.request is request
         step = judge.push_match(report)
@@ -154,7 +157,9 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, states, samples = Controller(Peltier.loop), begin(rig, 22.85), []
+    pid = Controller(Peltier.loop)
+    states = begin(rig, 22.85)
+    samples = []
     for k in range(ticks):
         r = levels[(k // 200) % len(levels)]
         y = read(rig, states) + float(noise[k])
@@ -183,7 +188,8 @@ def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate(
 
 
 def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
-    at, again = 1010, 1060
+    at = 1010
+    again = 1060
     twin = Twin()
     verdicts = verdicts_of([twin.push(s) for s in drive_lost(at, 1600, again)])
     levels = {v.sample: v.level for v in verdicts}

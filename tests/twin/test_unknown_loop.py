@@ -86,7 +86,8 @@ def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
     then they hold about nine readings in ten, and are as narrow as the noise allows.
     """
     fresh = step_test(4000, 12) if kind == "step test" else switched(4000, 11)
-    twin, held = Twin(SETTINGS), []
+    twin = Twin(SETTINGS)
+    held = []
     for sample in fresh[:-100]:
         twin.push(sample)
         forecaster = twin.discriminator.forecaster
@@ -119,7 +120,8 @@ def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     for sample in RECORDINGS["step test"][:670]:
         twin.push(sample)
     outlook = twin.discriminator.forecaster.outlook()
-    held, off = what_if(outlook, Question()), what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
+    held = what_if(outlook, Question())
+    off = what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
     assert np.isnan(held.forecast.reference).all()
     np.testing.assert_array_equal(held.forecast.input.mean, 0.15)
     np.testing.assert_array_equal(held.forecast.input.high, held.forecast.input.low)
@@ -140,7 +142,8 @@ def test_a_known_loop_may_be_taken_as_unknown() -> None:
     rng = np.random.default_rng(5)
     output = run.output + Motor.output.noise * rng.standard_normal(reference.size)
     twin = Twin(TwinSettings.of(Motor, period=0.05, law=None))
-    matches, verdicts = [], []
+    matches = []
+    verdicts = []
     for k in range(reference.size):
         sample = Sample(k, k * 50_000_000, float(reference[k]), float(output[k]), float(run.input[k]), (0.0,))
         found = twin.push(sample)

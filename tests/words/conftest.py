@@ -46,9 +46,13 @@ def _held(truth: Parameters, levels: list[float], broken: str, last: int, seed: 
     """Levels held by the plant's own controller, 240 samples each; then drive or sensor are `broken`."""
     plant = truth.model.plant
     assert plant.loop is not None
-    period, begins = plant.loop.period, 240 * len(levels) - last
-    pid, random = Controller(plant.loop), np.random.default_rng(seed)
-    states, samples, y = begin(truth, levels[0]), [], 0.0
+    period = plant.loop.period
+    begins = 240 * len(levels) - last
+    pid = Controller(plant.loop)
+    random = np.random.default_rng(seed)
+    states = begin(truth, levels[0])
+    samples = []
+    y = 0.0
     for k, reference in enumerate(np.repeat(levels, 240).tolist()):
         if broken != "frozen" or k < begins:
             y = read(truth, states) + random.normal(0.0, plant.output.noise)

@@ -38,7 +38,8 @@ def said(capsys: Capture, *words: object) -> str:
 
 
 def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
-    out, picture = tmp_path / "out.json", tmp_path / "out.svg"
+    out = tmp_path / "out.json"
+    picture = tmp_path / "out.svg"
     text = said(capsys, "replay", shown.folder, "--config", shown.config, "--json", out, "--figure", picture)
     shown.speaks_of_itself(text)
     shown.speaks_of_itself(json.dumps(json.loads(out.read_text("utf-8")), ensure_ascii=False))
@@ -98,7 +99,8 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     Tab(state, Nothing(), clock=lambda: 0.0).build(bare)
     shown.speaks_of_itself(lettering(bare), "set-point")
     state.describe(description_of(shown.plant))
-    page, document = Tab(state, Nothing(), clock=lambda: 0.0), Document()
+    page = Tab(state, Nothing(), clock=lambda: 0.0)
+    document = Document()
     page.build(document)
     mirror = Mirror(judged.settings.start, judged.settings.law)
     for sample in judged.samples:
@@ -116,7 +118,8 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
 def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
     made = layout(description_of(shown.plant), rig="/rig_a")
     shown.speaks_of_itself(json.dumps(made, ensure_ascii=False).replace("/rig_a/", ""))
-    y, u = shown.plant.output, shown.plant.drive
+    y = shown.plant.output
+    u = shown.plant.drive
     axes = [p["yAxisLabel"] for name, p in made["configById"].items() if name.startswith("Plot!")]
     assert axes == [f"{q.name} / {q.unit}" for q in (y, u, y, u, y, u)]
     topics = set(re.findall(r'"(/[a-z_/]+)', json.dumps(made)))

@@ -50,7 +50,8 @@ def _run(arguments: argparse.Namespace) -> None:
 def _address(text: str, default_port: int) -> tuple[str, int]:
     host, colon, port = text.rpartition(":")
     if not colon or text.endswith("]"):
-        host, port = text, str(default_port)
+        host = text
+        port = str(default_port)
     host = host.strip("[]")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(f"--listen {text}: give HOST or HOST:PORT, such as {DEFAULT_HOST}:{default_port}")

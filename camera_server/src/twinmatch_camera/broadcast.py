@@ -36,7 +36,8 @@ class _Client:
         if self.rest:
             self.following = message
         else:
-            self.rest, self.since = memoryview(message), now
+            self.rest = memoryview(message)
+            self.since = now
             self.push(now)
 
     def push(self, now: float) -> None:
@@ -47,7 +48,9 @@ class _Client:
             except BlockingIOError:
                 return
             if not self.rest and self.following is not None:
-                self.rest, self.since, self.following = memoryview(self.following), now, None
+                self.rest = memoryview(self.following)
+                self.since = now
+                self.following = None
 
 
 class Broadcast:
@@ -149,7 +152,8 @@ class Broadcast:
         except BlockingIOError:
             return
         with self._lock:
-            message, self._newest = self._newest, None
+            message = self._newest
+            self._newest = None
         if message is None:
             return
         now = time.monotonic()

@@ -207,7 +207,8 @@ def misdeclared(model: Model) -> Iterator[Finding]:
     """Contradictory declarations of one structure."""
     place = f"structure {model.structure_name!r}"
     for name in model.structure.free:
-        (low, high), value = model.declared[name].bounds, model.defaults[name]
+        low, high = model.declared[name].bounds
+        value = model.defaults[name]
         if not low <= value <= high:
             what = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
             yield Finding(what, "widen the bounds, or correct the default (or `fixed`)")
@@ -228,7 +229,8 @@ def ranges(model: Model) -> Iterator[Finding]:
     integrates = ~by_state.any(axis=0)
     outputs = model.plant.outputs
     for y, values, by in zip(outputs.values(), run.outputs.T, seen, strict=True):
-        low, high = float(values.min()), float(values.max())
+        low = float(values.min())
+        high = float(values.max())
         if (low < y.span[0] or high > y.span[1]) and not by[integrates].any():
             name = f"the output {y.name}" if len(outputs) > 1 else "the output"
             yield Finding(
@@ -236,10 +238,12 @@ def ranges(model: Model) -> Iterator[Finding]:
                 f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}",
                 "widen `span` of the output, or check default values and units of the parameters",
             )
-    least, most = states.copy(), states.copy()
+    least = states.copy()
+    most = states.copy()
     for u, row in zip(trial.inputs, trial.disturbances, strict=True):
         states = advance(parameters, states, u, trial.period, row)
-        least, most = np.minimum(least, states), np.maximum(most, states)
+        least = np.minimum(least, states)
+        most = np.maximum(most, states)
     for k, name in enumerate(model.states):
         span = model.plant.states[name].span
         if (least[k] < span[0] or most[k] > span[1]) and not integrates[k]:

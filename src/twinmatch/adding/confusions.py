@@ -85,9 +85,12 @@ class FaultTrial:
         Raises:
             PlantError: it cannot be simulated at this sampling period (s).
         """
-        self.parameters, self._period, model = parameters, period, parameters.model
+        self.parameters = parameters
+        self._period = period
+        model = parameters.model
         self._competition = Competition(parameters, period)
-        healthy, words = self._competition.healthy, ChannelSentences(model)
+        healthy = self._competition.healthy
+        words = ChannelSentences(model)
         named = [row for row in self._competition.rows if row.cause[0] not in _NOT_NAMED]
         self.called = {row.number: words.called(row.cause) for row in named}
         """The numbers that may change, in words."""
@@ -100,14 +103,17 @@ class FaultTrial:
         self.rows = list(least.values())
         """The faults: of each number the one of the least usual size."""
         pace = min(self._competition.second, 1.0)
-        before, after = round(_BEFORE * pace), round(_AFTER * pace)
+        before = round(_BEFORE * pace)
+        after = round(_AFTER * pace)
         inputs = _steps(parameters, before + after, _HOLDS * pace)
         states = begin(parameters, middle_of(model), input=inputs[0])
         run = simulate_driven(parameters, inputs[:before], states=states, period=period)
         shown = model.kernels.slopes_at(parameters.vector, states, inputs[0], model.disturbances)[6]
         if shown.any():
             raise PlantError(f"{model.title}: an output shows a drive at once, which no hypothesis expects")
-        self.healthy, self.inputs, self.states = run.outputs, inputs, run.states[-1]
+        self.healthy = run.outputs
+        self.inputs = inputs
+        self.states = run.states[-1]
         healthy.open(run.outputs[0], inputs[0], model.disturbances)
         self._members = BankMembers(*(array[[_RIG]] for array in healthy.members))
         self._members.error[:] = LEVELS[_RIG]
@@ -116,7 +122,8 @@ class FaultTrial:
     def rivals(self, fault: ChangeRow) -> list[str] | None:
         """The numbers whose changes are not told apart from a fault; None if it is too small for a report."""
         members = BankMembers(*(array.copy() for array in self._members))
-        rows, table = self._competition.rows, self._competition.table
+        rows = self._competition.rows
+        table = self._competition.table
         traces = unborn(len(rows), members.at.shape[1])
         spawn(traces, table, members.at, np.zeros(1), -1.0, len(self.inputs), 0)
         saved = self._follow(members, traces, self.readings(fault), self.inputs[len(self.healthy) :])
@@ -131,8 +138,11 @@ class FaultTrial:
 
     def readings(self, fault: ChangeRow) -> FloatArray:
         """What is read from its beginning on, without noise, shape (N, o)."""
-        parameters, inputs, size = self.parameters, self.inputs[len(self.healthy) :].copy(), size_of(fault)
-        model, healthy = parameters.model, self._competition.healthy
+        parameters = self.parameters
+        inputs = self.inputs[len(self.healthy) :].copy()
+        size = size_of(fault)
+        model = parameters.model
+        healthy = self._competition.healthy
         time = np.arange(len(inputs)) * self._period / healthy.scale
         now = size * (time / fault.slowly if fault.slowly else np.ones_like(time))
         offsets = np.zeros((len(inputs), model.noise.size))
@@ -151,8 +161,12 @@ class FaultTrial:
         self, members: BankMembers, traces: ChangeTraces, ys: FloatArray, us: FloatArray
     ) -> FloatArray:
         """Nats that each hypothesis has saved, shape (N, R); the filter and the traces are moved on."""
-        healthy, model, table = self._competition.healthy, self.parameters.model, self._competition.table
-        noise, no, saved = model.noise, np.zeros(model.noise.size), []
+        healthy = self._competition.healthy
+        model = self.parameters.model
+        table = self._competition.table
+        noise = model.noise
+        no = np.zeros(model.noise.size)
+        saved = []
         seen = no == 0.0
         for k, (y, u) in enumerate(zip(ys, us, strict=False)):
             # What has no noise has no last digit either.
@@ -172,7 +186,8 @@ def size_of(fault: ChangeRow) -> float:
 def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:
     """Commands that step up and down over most of each drive's range, every drive in a time of its own, shape
     (N, m)."""
-    k, columns = np.arange(count), []
+    k = np.arange(count)
+    columns = []
     for j, drive in enumerate(parameters.model.plant.drives.values()):
         low, high = drive.limits
         columns.append(low + (high - low) * np.where(k // max(round(holds * _QUICKER**j), 1) % 2, 0.9, 0.1))

@@ -124,7 +124,9 @@ def _of_samples(
     session: Session, plant: type[Plant], parameters: Parameters, least: tuple[float, ...]
 ) -> tuple[list[Finding], list[str]]:
     """The noise of every output, which may be what the best fit leaves at `least`, and the duration."""
-    findings, size, outputs = [], len(session.samples), plant.outputs
+    findings = []
+    size = len(session.samples)
+    outputs = plant.outputs
     longest = max(stretches(session.samples, session.period), key=len)
     inputs = [*longest.inputs.T, *longest.disturbances.T]
     measured = {n: noise_of(y, inputs) for n, y in zip(outputs, longest.outputs.T, strict=True)}
@@ -135,7 +137,8 @@ def _of_samples(
     notes += [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
     left = dict(zip(outputs, least, strict=False))
     for name, noise in measured.items():
-        declared, of = outputs[name].noise, f" {name}" if len(outputs) > 1 else ""
+        declared = outputs[name].noise
+        of = f" {name}" if len(outputs) > 1 else ""
         if noise > declared * _SMALL or declared > _LARGE * max(noise, left.get(name, 0.0) / _PART):
             what = f"the noise of the output{of} is declared as {declared:g}, but measured as {noise:g}"
             findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
@@ -155,7 +158,8 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
     for output, left in zip(plant.outputs.values(), least, strict=False):
         if left > _UNEXPLAINED * output.noise:
             of = f" of {output.name}" if len(plant.outputs) > 1 else ""
-            size, noise = f"{left:.2g} {output.unit}".rstrip(), float(f"{left / _PART:.1g}")
+            size = f"{left:.2g} {output.unit}".rstrip()
+            noise = float(f"{left / _PART:.1g}")
             yield Finding(
                 f"over the whole recording, the best of the structures leaves {size}{of}",
                 f"if errors of that size are good enough for you, declare noise={noise:g}: errors of fits "
@@ -166,7 +170,8 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
 def _of_matches(
     matches: tuple[MatchReport, ...], faults: Sequence[str], settings: TwinSettings, size: int
 ) -> Iterator[Finding]:
-    least, period = settings.schedule.min_span, settings.period
+    least = settings.schedule.min_span
+    period = settings.period
     if not matches and faults:
         what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
         yield Finding(what, _FAULTY)
@@ -218,7 +223,8 @@ def loop_findings(session: Session, plant: type[Plant], law: Law | None) -> Iter
     if law is None or not session.has_reference:
         return
     rms = root_mean_square([off for run in _runs(session.samples, law.period) for off in _errors(run, law)])
-    usual, unit = float(np.std([sample.input for sample in session.samples])), plant.drive.unit
+    usual = float(np.std([sample.input for sample in session.samples]))
+    unit = plant.drive.unit
     if rms > max(_SHARE * usual, plant.drive.noise):  # not a number without such a run
         yield Finding(
             "the loop in the file does not give the recorded input: run on the recorded set-points and "
@@ -269,7 +275,8 @@ class Compared(NamedTuple):
 def compare_structures(held: Sequence[Window], plant: type[Plant], settings: TwinSettings) -> Compared:
     """Fit every structure of the plant file to a recording, its stretches without a gap, and choose one as
     the twin does."""
-    windows, total = _windows(held), sum(map(len, held))
+    windows = _windows(held)
+    total = sum(map(len, held))
     first = settings.start.model.structure_name
     return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
 
@@ -296,7 +303,9 @@ def _compared(
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
     least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
-    chosen, findings, first = choice.chosen, [], first or names[0]
+    chosen = choice.chosen
+    findings = []
+    first = first or names[0]
     if chosen != first:
         what = f"the recording supports the structure {chosen!r} rather than {first!r}"
         todo = "put it first in `structures`: single windows are matched with the first one"
@@ -328,7 +337,8 @@ def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: L
 
 
 def _windows(whole: Sequence[Window]) -> list[Window]:
-    windows, left = [], _MAX_SAMPLES
+    windows = []
+    left = _MAX_SAMPLES
     for stretch in whole:
         count = min(left, len(stretch))
         if count >= _SHORTEST:

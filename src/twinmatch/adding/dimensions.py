@@ -69,7 +69,8 @@ class Dimensions:
             *((f"the output {y}" if len(outputs) > 1 else "the output", y, e) for y, e in outputs.items()),
             *((f"the start of {state}", state, start) for state, start in written.start.items()),
         ):
-            shown, unit = sympy.sympify(expression), self._symbols[symbol].unit or "a number"
+            shown = sympy.sympify(expression)
+            unit = self._symbols[symbol].unit or "a number"
             self._compare(place, shown, _unit_of(self._units[symbol]), unit)
             self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
 

@@ -38,7 +38,9 @@ _FAR: Final = 9.0
 """A quarter of the recording is far quieter if its variance is less by this factor: white noise never is."""
 _LOUD: Final = 4.0
 """Blocks count up to so many medians: noise may depend on the level, a movement is larger."""
-_LEVEL, _BENT, _STEEP = 1.25, 1.7, 5.0
+_LEVEL = 1.25
+_BENT = 1.7
+_STEEP = 5.0
 """Growth of the variance when h doubles: below the first it has arrived; below the second nearly so, when
 from the third on the plant's movement takes over. Averages and filters give up to 4, movements up to 16."""
 _ALL: Final = 1.0
@@ -50,7 +52,8 @@ _FLOOR: Final = 1e-4
 """Least noise of computed values, as a share of their range; that of written ones is their last digit's."""
 _DIGIT: Final = 1e-6
 """Smaller changes, as a share of the range, are below a digit."""
-_ON_GRID, _NEARLY_ALL = 1e-3, 0.95
+_ON_GRID = 1e-3
+_NEARLY_ALL = 0.95
 """So close to a multiple of the last digit are nearly all changes; resampling leaves a few fractions."""
 
 
@@ -101,7 +104,8 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
         columns += [lfilter([0.0, 1.0 - pole], [1.0, -pole], u - u[0]) for u in inputs]
     table = np.column_stack(columns)
     table = table / (np.linalg.norm(table, axis=0) + 1e-300)
-    left, kept = values, np.ones(size, dtype=np.bool_)
+    left = values
+    kept = np.ones(size, dtype=np.bool_)
     for _ in range(2):  # the second time without spikes
         left = values - table @ np.linalg.lstsq(table[kept], values[kept], rcond=None)[0]
         kept = np.abs(left) <= _SPIKE * np.median(np.abs(left))
@@ -135,7 +139,8 @@ def _typical(values: FloatArray, distance: int) -> tuple[float, float] | None:
     squares = np.square(bends[bends <= 4.0 * usual]) / 6.0  # without spikes
     block = min(block, squares.size)
     means = squares[: squares.size - squares.size % block].reshape(-1, block).mean(axis=1)
-    middle, quiet = float(np.median(means)), float(np.quantile(means, 0.25)) / _QUIET
+    middle = float(np.median(means))
+    quiet = float(np.quantile(means, 0.25)) / _QUIET
     if quiet < middle / _FAR:
         return quiet, quiet
     return middle, float(np.mean(np.minimum(means, _LOUD * middle)))

@@ -248,7 +248,8 @@ def _word(title: str, taken: list[str]) -> str:
 
 
 def _range_of(values: FloatArray) -> tuple[float, float]:
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     for least, most in _RANGES:
         if least <= low and high <= most and high > 0.2 * most:
             return least, most

@@ -159,7 +159,8 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
         at = int(np.flatnonzero(~finite)[0])
         msg = f"{parameters.model.title}: its output is not a finite number after {at * trial.period:g} s"
         raise PlantError(msg)
-    held, measured = np.tile(trial.outputs, (len(trial.inputs), 1)), trial.disturbances
+    held = np.tile(trial.outputs, (len(trial.inputs), 1))
+    measured = trial.disturbances
     return run, Window(held, run.outputs, trial.inputs, period=trial.period, disturbances=measured)
 
 

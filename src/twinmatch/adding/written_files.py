@@ -64,7 +64,9 @@ def _require_name(name: str) -> None:
 
 
 def _plant(name: str, held: Proposal) -> dict[str, Any]:
-    y, u, around = held.output, held.input, held.around
+    y = held.output
+    u = held.input
+    around = held.around
     title = "".join(part.capitalize() for part in name.split("_"))
     free = ["gain", "lag", *([] if around else ["rest"])]
     low, high = sorted((held.gain / _WIDE, held.gain * _WIDE))
@@ -89,7 +91,9 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
 
 
 def _test(held: Proposal) -> dict[str, Any]:
-    low, high, around = held.input.low, held.input.high, held.around
+    low = held.input.low
+    high = held.input.high
+    around = held.around
     measured = [rounded((d.low + d.high) / 2, 4) for d in held.disturbances]
     return {
         "period": rounded(held.lag / 15),

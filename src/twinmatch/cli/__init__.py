@@ -81,7 +81,8 @@ class _Parser(argparse.ArgumentParser):
         if self.command:
             # `import` is a keyword, so its module has a trailing underscore.
             name = {"import": "import_"}.get(self.command, self.command.replace("-", "_"))
-            module, self.command = import_module(f"twinmatch.cli.{name}"), ""
+            module = import_module(f"twinmatch.cli.{name}")
+            self.command = ""
             module.add_arguments(self)
             self.set_defaults(command=module.run, parser=self)
         return super().parse_known_args(args, namespace)

@@ -73,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
     session = session_to_record(options)
     values, _ = sampler_values(options.config, said, options.source)
     if options.alone or (values["source"] and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
-        sessions, code = [session] if session else [], _run_alone(options, values, session)
+        sessions = [session] if session else []
+        code = _run_alone(options, values, session)
     else:
         sessions, code = _run_graph(options, said, session)
     if code == 0:

@@ -52,7 +52,8 @@ def _live(options: argparse.Namespace) -> int:
     with Progress("compiling, the first time only") as progress:
         rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
-    virtual, config = VirtualPlan(speed=options.speed, board="python"), options.config
+    virtual = VirtualPlan(speed=options.speed, board="python")
+    config = options.config
     plan = LivePlan(
         config=config or shipped("config/demo.yaml"),
         session=session,
@@ -72,7 +73,8 @@ def _look_back(session: Path) -> int:
 
     judged = judge_for_report(session)
     print(judged.recorded)
-    picture, report = session.with_suffix(".png"), session.with_suffix(".html")
+    picture = session.with_suffix(".png")
+    report = session.with_suffix(".html")
     judgement = judged.judgement
     draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, picture)
     build_report(judged, session, command="twinmatch demo").write(report)

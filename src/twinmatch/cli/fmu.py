@@ -25,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the map as YAML, with the variables as comments; returns the exit code."""
-    plant, process = find_plant(options.plant), FmuProcess()
+    plant = find_plant(options.plant)
+    process = FmuProcess()
     try:
         with Progress() as progress, ThreadPoolExecutor(1) as executor:
             reading = executor.submit(described_by, options.file, process)

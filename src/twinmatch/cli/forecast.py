@@ -100,17 +100,20 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     rows = planned_rows(Path(options.reference)) if named else None
     session = open_shown(options.session, options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
-    settings, period = terms.settings, terms.settings.period
+    settings = terms.settings
+    period = terms.settings.period
     size = samples_ahead(options.horizon, settings)
     samples = samples_at(session, options.at)
     given = {"settings": settings, "reference": options.reference, "hold": options.hold, "rows": rows}
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
-        whole, watch = options.from_the_beginning, progress.advance
+        whole = options.from_the_beginning
+        watch = progress.advance
         known = prospects(session, terms, samples, candidate=options.candidate, whole=whole, watch=watch)
     last = known[max(samples)]
     taken = [s for s in session.samples if last.since is None or s.index >= last.since]
-    requested, came = {}, filled_stretches(taken, settings, last.taught)
+    requested = {}
+    came = filled_stretches(taken, settings, last.taught)
     for k in samples:
         forecast = forecast_of(known[k], ahead[k], period)
         made = fan(replace(forecast, notes=(*session.missing, *forecast.notes)), came)
@@ -119,7 +122,8 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
 
 
 def _print(one: _Requested, settings: TwinSettings) -> None:
-    forecast, prospect = one.fan.forecast, one.prospect
+    forecast = one.fan.forecast
+    prospect = one.prospect
     seconds = f"{forecast.sample * settings.period:g} s"
     print(f"At {seconds} (sample {forecast.sample}), {one.words}:")
     confidence = f"confidence {prospect.leader_confidence:.2f}"

@@ -81,7 +81,8 @@ def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: A
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-    given, limits = _given(options), {"longest": options.bridge, "gaps": options.gaps}
+    given = _given(options)
+    limits = {"longest": options.bridge, "gaps": options.gaps}
     if not given.plant:
         msg = "import: the plant is missing; give --plant NAME, --plant FILE.py, or plant: in the map file"
         raise TwinmatchError(msg)
@@ -121,7 +122,10 @@ def _list(path: Path) -> int:
 
     if is_bag(path):
         with open_bag(path) as bag:
-            topics, seconds, columns, notes = bag.topics, bag.seconds, bag.columns, bag.notes
+            topics = bag.topics
+            seconds = bag.seconds
+            columns = bag.columns
+            notes = bag.notes
         shown = Table("topic", "type", "messages", "per s", "numbers")
         for topic in topics:
             rate = f"{topic.messages / seconds:.3g}" if seconds else ""
@@ -131,7 +135,8 @@ def _list(path: Path) -> int:
     else:
         with Progress("reading") as progress:
             table = read_table(path, progress.advance)
-        columns, notes = columns_of(table), []
+        columns = columns_of(table)
+        notes = []
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")

@@ -52,7 +52,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _proposal(options: argparse.Namespace) -> Proposal:
-    period, given = positive_period(options, "new-plant"), parse_map(options.map)
+    period = positive_period(options, "new-plant")
+    given = parse_map(options.map)
     if options.table is None:
         if given.sources:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")

@@ -43,7 +43,8 @@ def _identify_and_compare() -> None:
     from twinmatch.signals import Window  # noqa: PLC0415
 
     reference = np.repeat([0.0, 1.0, 0.0], 100)
-    output, noise = np.zeros(reference.size), np.random.default_rng(1).normal(0.0, 0.01, reference.size)
+    output = np.zeros(reference.size)
+    noise = np.random.default_rng(1).normal(0.0, 0.01, reference.size)
     for k in range(1, output.size):
         output[k] = 0.9 * output[k - 1] + 0.1 * reference[k - 1]
     models = identify(Window(reference, output + noise, reference - output - noise))

@@ -89,7 +89,9 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
 @contextmanager
 def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin, Sample, Outcome], None]]]:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
-    done, total, redrawn = 0, len(session.samples), redraws(sys.stdout)
+    done = 0
+    total = len(session.samples)
+    redrawn = redraws(sys.stdout)
     view: Screen | Lines = Lines(session.period)
     if redrawn:
         from twinmatch.showing.console import Console  # noqa: PLC0415 — only a terminal needs it

@@ -81,9 +81,11 @@ def run(options: argparse.Namespace) -> int:
         law = read_law(options.loop, ground.plant, ground.session.period)
         ran = None if options.came is None else _ran(opened, law, options)
         if ran is None:
-            question, apart = _asked(options, ground, law), None
+            question = _asked(options, ground, law)
+            apart = None
         else:
-            question, apart = ran.question(ground.holding, options.draws), ran.ground.session
+            question = ran.question(ground.holding, options.draws)
+            apart = ran.ground.session
         earlier: tuple[TriedTwin, ...] = ()
         if options.memory is not None:
             try:
@@ -130,7 +132,8 @@ def _asked(options: argparse.Namespace, ground: Ground, law: Law) -> ControllerQ
 
 def _ran(opened: Sequence[Ground], law: Law, options: argparse.Namespace) -> LawThatRan:
     """The session in which the law ran; not one of those that it is predicted from."""
-    came, digests = _opened(options.came, options), [digest_of(each.session.samples) for each in opened]
+    came = _opened(options.came, options)
+    digests = [digest_of(each.session.samples) for each in opened]
     _last([*opened, came])
     if digest_of(came.session.samples) in digests:
         raise ControllerError(f"--came {options.came}: is a session that it is predicted from; give another")
@@ -184,7 +187,9 @@ def _begun(members: Sequence[TriedTwin], options: argparse.Namespace) -> list[Tr
 
 
 def _profile(options: argparse.Namespace, ground: Ground, level: FloatArray) -> FloatArray:
-    plant, period, samples = ground.plant, ground.session.period, ground.holding.samples
+    plant = ground.plant
+    period = ground.session.period
+    samples = ground.holding.samples
     if options.reference == RECORDED:
         return recorded_profile(ground.session)
     if options.over is not None:

@@ -119,7 +119,8 @@ def minors(
 @compiled
 def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
     """Real and imaginary part of one row at Ω = x, or, above 1, at Ω = 1/x."""
-    even, odd = 0.0, 0.0
+    even = 0.0
+    odd = 0.0
     degree = row.size - 1
     y = x * x
     if not above:
@@ -139,7 +140,8 @@ def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
 def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -> tuple[float, float]:
     """Σ |weight·p|² over the rows and its derivative by t."""
     derivative = 2 if above else 1
-    square, slope = 0.0, 0.0
+    square = 0.0
+    slope = 0.0
     for k in range(stack.shape[1]):
         real, imaginary = value(stack[0, k], x, above)
         d_real, d_imaginary = value(stack[derivative, k], x, above)
@@ -155,7 +157,8 @@ def squared_distance(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, t: float
 ) -> tuple[float, float]:
     """κ² and dκ²/dt at t, in plain floats, for the search."""
-    x, above = math.exp(-abs(t)), t > 0
+    x = math.exp(-abs(t))
+    above = t > 0
     size1, slope1 = _square_and_slope(stack1, x, 1.0, above)
     size2, slope2 = _square_and_slope(stack2, x, 1.0, above)
     # one root after the other: the product of two small squares may underflow
@@ -168,7 +171,8 @@ def squared_distance(
 def _horner(high: FloatArray, low: FloatArray, x: float) -> float:
     """Value of a polynomial in x², highest power first."""
     y, y_low = scale(x, 0.0, x)
-    a, a_low = 0.0, 0.0
+    a = 0.0
+    a_low = 0.0
     for k in range(high.size):
         a, a_low = multiply(a, a_low, y, y_low)
         a, a_low = add(a, a_low, high[k], low[k])
@@ -181,7 +185,8 @@ def _exact_square(high: FloatArray, low: FloatArray, t: float, weight: float) ->
     x = math.exp(-abs(t))
     # above Ω = 1 the powers of 1/Ω run the other way
     order = 1 if t > 0 else -1
-    high, low = high[:, ::order], low[:, ::order]
+    high = high[:, ::order]
+    low = low[:, ::order]
     square = 0.0
     for row in range(high.shape[0]):
         # the last coefficient belongs to x⁰, the last but one to x¹
@@ -226,12 +231,14 @@ def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128
         return np.array([-1.0, 1.0])
     where = np.empty(count)
     off = np.empty(count)
-    low, high = math.inf, -math.inf
+    low = math.inf
+    high = -math.inf
     for i in range(count):
         root = roots1[i] if i < roots1.size else roots2[i - roots1.size]
         where[i] = math.log(abs(root))
         off[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
-        low, high = min(low, where[i]), max(high, where[i])
+        low = min(low, where[i])
+        high = max(high, where[i])
     nodes = [low - MARGIN]
     while nodes[-1] < high + MARGIN:
         nodes.append(nodes[-1] + STEP * _clearance(where, off, nodes[-1]))
@@ -277,16 +284,19 @@ def highest(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, grid: FloatArray
 ) -> tuple[float, float]:
     """The largest κ² and its place t, which may be −∞ or ∞."""
-    best, place = squared_distance(stack1, stack2, stack_minors, -math.inf)[0], -math.inf
+    best = squared_distance(stack1, stack2, stack_minors, -math.inf)[0]
+    place = -math.inf
     end = squared_distance(stack1, stack2, stack_minors, math.inf)[0]
     if end > best:
-        best, place = end, math.inf
+        best = end
+        place = math.inf
     f = np.empty(grid.size)
     slope = np.empty(grid.size)
     for i in range(grid.size):
         f[i], slope[i] = squared_distance(stack1, stack2, stack_minors, grid[i])
         if f[i] > best:
-            best, place = f[i], grid[i]
+            best = f[i]
+            place = grid[i]
     todo = np.empty((STACK, 6))
     halvings = 0
     for i in range(grid.size - 1):
@@ -300,7 +310,8 @@ def highest(
             fm, dm = squared_distance(stack1, stack2, stack_minors, m)
             halvings += 1
             if fm > best:
-                best, place = fm, m
+                best = fm
+                place = m
             off = abs(fm - (0.5 * (fa + fb) + 0.125 * h * (da - db)))
             off += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
             # halving reduces the error of the cubics 16 times; an eighth leaves a margin

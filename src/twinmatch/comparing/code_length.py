@@ -149,7 +149,8 @@ def two_part_length(model_length: float, parameters: int, samples: int) -> float
 @compiled
 def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, list[int]]:
     """Characters of the numbers that exact arithmetic can round, and the places of the others."""
-    total, others = 0, [0][:0]
+    total = 0
+    others = [0][:0]
     for place in range(table.size):
         scaled = abs(table[place]) * scale
         nearest = np.rint(scaled)
@@ -157,7 +158,8 @@ def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, li
         if not scaled < _EXACT or abs(scaled - nearest) == 0.5:
             others.append(place)
             continue
-        digits, after = int(nearest), decimals
+        digits = int(nearest)
+        after = decimals
         while after > 0 and digits > 0 and digits % 10 == 0:
             digits //= 10
             after -= 1

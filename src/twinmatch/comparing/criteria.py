@@ -178,7 +178,8 @@ def _criteria(model: BoxJenkins, r: FloatArray, output: FloatArray, offset: floa
     simulated = model.simulate(r, outputs=output[:copied])
     gain = information_gain(output + offset, simulated + offset, decimals=decimals, copied=copied)
     errors = model.prediction_errors(r, output)
-    loss, order = float(np.mean(errors**2)), model.order
+    loss = float(np.mean(errors**2))
+    order = model.order
     return Criteria.of(
         gain, loss, parameters=model.n_parameters, coefficients=order.nb + order.nf, count=len(output)
     )

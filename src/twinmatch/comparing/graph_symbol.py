@@ -181,7 +181,8 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
         if known is None:
             denominators.append(d)
     polynomials = exact([*denominators, *(n for n, _ in pairs)])
-    below, above = polynomials[: len(denominators)], polynomials[len(denominators) :]
+    below = polynomials[: len(denominators)]
+    above = polynomials[len(denominators) :]
     for k, denominator in enumerate(below):
         if not any(denominator):
             msg = f"model: the denominator of output {which.index(k)} is zero; give one that is not"

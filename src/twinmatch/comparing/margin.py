@@ -103,7 +103,8 @@ def _smallest(
     poles: Any,
 ) -> float:
     """Smallest |K G|/|K||G| over all frequencies; `inner` is K G."""
-    high, low = chordal.with_powers_of_j(inner[0]), chordal.with_powers_of_j(inner[1])
+    high = chordal.with_powers_of_j(inner[0])
+    low = chordal.with_powers_of_j(inner[1])
     one = np.ones((1, 1))
     # as the search needs it: a sum of squares |G|²|K|² over |K G|², largest where the margin is smallest
     products = chordal.with_powers_of_j(_products(plant[0], controller[0]))

@@ -44,7 +44,9 @@ ONE = 1 - 1e-12
 
 PER_DECADE = 8
 MAX_POLISH = 20
-COARSE, CLOSER, FINE = 3e-2, 0.03, 1e-6
+COARSE = 3e-2
+CLOSER = 0.03
+FINE = 1e-6
 """Width of the first parabola, relative to the frequency; of the next to the one before it; of the last."""
 NEIGHBOURS = np.array([-1.0, 0.0, 1.0])
 
@@ -146,7 +148,8 @@ def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
     direct = np.eye(m) + dc @ d
     if np.linalg.cond(direct) > 1 / ON_AXIS**1.5:
         return None
-    n, q = len(a), len(ac)
+    n = len(a)
+    q = len(ac)
     x, xc, disturbance, noise = np.split(np.eye(n + q + m + p), np.cumsum([n, q, m]))
     u = np.linalg.solve(direct, disturbance - dc @ (c @ x + noise) - cc @ xc)
     y = c @ x + d @ u
@@ -157,9 +160,11 @@ def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
 
 def _level_zeros(one: StateSpace, two: StateSpace, level: float) -> Matrix:
     """Where a singular value of the gap equals `level`: on the axis, and elsewhere in the plane."""
-    back1, back2 = one.adjoint, two.adjoint
+    back1 = one.adjoint
+    back2 = two.adjoint
     p, m = one.D.shape
-    n1, n2 = len(one.A), len(two.A)
+    n1 = len(one.A)
+    n2 = len(two.A)
     x1, z1, x2, z2, v, w = np.split(np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p]))
     through1 = one.C @ x1 + one.D @ w
     into1 = through1 + v / level
@@ -198,7 +203,8 @@ def _largest(
 ) -> float:
     """Largest value over all frequencies, or one from `ceiling` on."""
     tried = frequencies_of(poles)
-    best, place = 0.0, 0.0
+    best = 0.0
+    place = 0.0
     for _ in range(MAX_LEVELS):
         found = values(tried)
         if found.max() <= best * (1 + ABOVE):
@@ -218,7 +224,8 @@ def frequencies_of(poles: Matrix) -> FloatArray:
     sizes = sizes[sizes > ON_AXIS * max(sizes.max(initial=0.0), 1.0)]  # several at 0 are rounded apart
     if not sizes.size:
         sizes = np.ones(1)
-    low, high = np.log10(sizes.min()) - 1, np.log10(sizes.max()) + 1
+    low = np.log10(sizes.min()) - 1
+    high = np.log10(sizes.max()) + 1
     some = np.logspace(low, high, int(PER_DECADE * (high - low)))
     some = np.concatenate([some, np.abs(poles.imag), sizes, [0.0, np.inf]])
     return some if not np.iscomplexobj(poles) else np.concatenate([some, -some])
@@ -226,14 +233,16 @@ def frequencies_of(poles: Matrix) -> FloatArray:
 
 def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: float) -> tuple[float, float]:
     """The top of the peak next to a place, and where it is: parabolas through three points, ever closer."""
-    middle, width = place, COARSE * abs(place)
+    middle = place
+    width = COARSE * abs(place)
     for _ in range(MAX_POLISH):
         if not np.isfinite(middle) or width <= FINE * abs(middle):
             break
         tried = middle + width * NEIGHBOURS
         found = values(tried)
         if found.max() > best:
-            best, place = float(found.max()), float(tried[found.argmax()])
+            best = float(found.max())
+            place = float(tried[found.argmax()])
         before, at, after = found
         bend = before - 2 * at + after
         step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)

@@ -67,8 +67,10 @@ def inner_product(
 ) -> complex:
     """c at t: real at both ends of the axis."""
     inner = 0j
-    size1, size2 = 0.0, 0.0
-    x, above = math.exp(-abs(t)), t > 0
+    size1 = 0.0
+    size2 = 0.0
+    x = math.exp(-abs(t))
+    above = t > 0
     for k in range(signed1.shape[0]):
         real1, imaginary1 = value(signed1[k], x, above)
         real2, imaginary2 = value(signed2[k], x, above)
@@ -100,12 +102,15 @@ def turns(
     total = 0.0
     at = np.empty(DEPTH + 1)
     values = np.empty(DEPTH + 1, dtype=np.complex128)
-    left, c_left = grid[0], inner_product(signed1, signed2, roots1, roots2, grid[0])
+    left = grid[0]
+    c_left = inner_product(signed1, signed2, roots1, roots2, grid[0])
     for node in grid[1:]:
-        at[0], values[0] = node, inner_product(signed1, signed2, roots1, roots2, node)
+        at[0] = node
+        values[0] = inner_product(signed1, signed2, roots1, roots2, node)
         waiting = 1
         while waiting:
-            right, c_right = at[waiting - 1], values[waiting - 1]
+            right = at[waiting - 1]
+            c_right = values[waiting - 1]
             if min(abs(c_left), abs(c_right)) < ZERO:
                 return math.nan
             middle = 0.5 * (left + right)
@@ -140,7 +145,8 @@ def nu_gap(p1: Any, p2: Any) -> float:
     """
     if inputs_of(p1) > 1 and inputs_of(p2) > 1:
         return matrix_nu_gap(StateSpace.of(p1), StateSpace.of(p2))
-    g1, g2 = graph_symbol(p1), graph_symbol(p2)
+    g1 = graph_symbol(p1)
+    g2 = graph_symbol(p2)
     common_period(g1, g2)
     return _between(g1, g2)
 
@@ -172,7 +178,8 @@ def common_period(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
     if g1.outputs != g2.outputs:
         msg = f"ν-gap: one model has {g1.outputs} outputs, the other {g2.outputs}; they must be equal"
         raise DiscriminationError(msg)
-    first, second = g1.period, g2.period
+    first = g1.period
+    second = g2.period
     if first is None or second is None:
         return second if first is None else first
     if first is True or second is True:
@@ -197,14 +204,16 @@ def _compare(  # noqa: PLR0917
 ) -> tuple[float, float]:
     """Largest κ, and the half turns of the inner product (NaN if it passes through zero)."""
     high, low = chordal.minors(pair1[0], pair1[1], pair2[0], pair2[1])
-    high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
+    high = chordal.with_powers_of_j(high)
+    low = chordal.with_powers_of_j(low)
     grid = chordal.frequency_grid(roots1, roots2)
     square, place = chordal.highest(stack1, stack2, chordal.with_derivatives(high), grid)
     if square == 0.0:  # one model is a multiple of the other, term by term
         return 0.0, 0.0
     if -math.inf < place < math.inf:
         # the phase of c can turn fastest where c is smallest
-        node, finer = 0, np.empty(grid.size + 1)
+        node = 0
+        finer = np.empty(grid.size + 1)
         for k in range(grid.size):
             node += grid[k] < place
             finer[k if grid[k] < place else k + 1] = grid[k]
@@ -236,5 +245,6 @@ def _refine_largest(
             there = place + min(1.0, max(-1.0, 0.5 * (before - after) / bend)) * h
             kappa = chordal.exact_distance(signed1, signed2, pair_minors, there)
             if kappa > best:
-                best, place = kappa, there
+                best = kappa
+                place = there
     return best

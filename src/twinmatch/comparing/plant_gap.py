@@ -93,7 +93,8 @@ def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: 
     run = simulate_closed_loop(
         parameters, np.tile(row, (loop.samples, 1)), states=begin(parameters, row), law=loop.law
     )
-    states, inputs = run.states[-2], run.inputs[-1]
+    states = run.states[-2]
+    inputs = run.inputs[-1]
     held = finite(np.append(states, inputs))
     linear = linearised_at(parameters, states, inputs, loop.law.period) if held else None
     if linear is None or not all(map(finite, linear[:3])):
@@ -126,9 +127,11 @@ def response_slopes(
 
     Shapes (frequencies,) and (n, frequencies). Raises as `linearised_in_loop`.
     """
-    twins, steps = [parameters], []
+    twins = [parameters]
+    steps = []
     for name in free:
-        declared, value = parameters.model.declared[name], parameters[name]
+        declared = parameters.model.declared[name]
+        value = parameters[name]
         moved = value + STEP * declared.scale
         if not declared.possible(moved):
             moved = value - STEP * declared.scale
@@ -188,7 +191,9 @@ def plant_gaps(
     A point at which one of them cannot be linearised, or a ν-gap has no value, is left out for all. If no
     shared point remains, the ν-gaps are 1, since nothing shows that the twins are alike.
     """
-    shared, rows, left_out = [], [], []
+    shared = []
+    rows = []
+    left_out = []
     for point in sorted(set(points), key=point_values):
         try:
             rows.append(_gaps_between([symbol_in_loop(twin, point, loop) for twin in twins]))

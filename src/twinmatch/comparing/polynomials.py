@@ -140,14 +140,16 @@ def is_hurwitz(polynomial: Polynomial) -> bool:
     descending = [sign * c for c in reversed(polynomial)]
     if not all(c > 0 for c in descending):
         return False
-    above, row = descending[::2], descending[1::2]
+    above = descending[::2]
+    row = descending[1::2]
     while row:
         if row[0] <= 0:
             return False
         padded = row + [0] * (len(above) - len(row))
         below = [row[0] * above[k] - above[0] * padded[k] for k in range(1, len(above))]
         divisor = math.gcd(*below) or 1
-        above, row = row, [c // divisor for c in below]
+        above = row
+        row = [c // divisor for c in below]
     return True
 
 
@@ -186,7 +188,10 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
     """
     order = len(A)
     whole, scale = _integers(np.block([[A, B], [C, D]]))
-    a, b, c, d = whole[:order, :order], whole[:order, order:], whole[order:, :order], whole[order:, order]
+    a = whole[:order, :order]
+    b = whole[:order, order:]
+    c = whole[order:, :order]
+    d = whole[order:, order]
     # with s = σ/scale, σI − a has integer entries; M[k] are the coefficients of its adjugate
     characteristic = [0] * order + [1]
     adjugate_b: list[Any] = [None] * order

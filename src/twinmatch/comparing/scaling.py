@@ -32,9 +32,11 @@ from twinmatch.signals import FloatArray
 RATIOS = np.logspace(-3, 3, 19)
 """Units of the outputs against those of the inputs that are tried first, relative to the given ones."""
 
-FIRST_STEP, LAST_STEP = 0.7, 0.01
+FIRST_STEP = 0.7
+LAST_STEP = 0.01
 """Of the logarithms of all units."""
-LONGER, SHORTER = 1.5, 0.9
+LONGER = 1.5
+SHORTER = 0.9
 """Change of a step that helped and of one that did not: a step in five helps where its size is right."""
 MAX_TRIALS = 400
 MAX_CHANGE = 1e4
@@ -92,7 +94,8 @@ def best_scaling(
     ])  # fmt: skip
 
     def in_units(units: FloatArray) -> Scaling:
-        y, u = units[:p], units[p:]
+        y = units[:p]
+        u = units[p:]
         scaled = plant.scaled(y, u)
         gaps = [matrix_nu_gap(scaled, member.scaled(y, u)) for member in family]
         return Scaling(y, u, matrix_margin(scaled, controller.scaled(u, y)), max(gaps, default=0.0))
@@ -118,14 +121,17 @@ def _claim_in(
     loop = cast("StateSpace", closed_loop(one, law))  # well posed, since the margin is not 0
     poles = np.concatenate([np.linalg.eigvals(s.A) for s in (one, *members)])
     at = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
-    p, around = plant.n_outputs, loop.response(at)
+    p = plant.n_outputs
+    around = loop.response(at)
     origin = np.tile(one.response(at), (len(members), 1, 1))
     to = np.concatenate([member.response(at) for member in members])
 
     def claim(units: FloatArray) -> float:
-        y, u = units[:p], units[p:]
+        y = units[:p]
+        u = units[p:]
         ratio = (u / y[:, None]).astype(np.complex128)
-        rows, columns = np.concatenate([y, u]), np.concatenate([u, y])
+        rows = np.concatenate([y, u])
+        columns = np.concatenate([u, y])
         size = sizes_of(around * (columns / rows[:, None])).max()
         gap = float(gaps_of(origin * ratio, to * ratio).max())
         return _claim(min(1.0, 1 / float(size)), gap)
@@ -138,7 +144,10 @@ def _climb(value: Callable[[FloatArray], float], units: FloatArray, outputs: int
     value has ridges, on which a search along single units stops."""
     whole = np.arange(units.size) < outputs
     units = max((np.where(whole, units * ratio, units) for ratio in RATIOS), key=value)
-    best, size, rng, begin = value(units), FIRST_STEP, np.random.default_rng(SEED), units
+    best = value(units)
+    size = FIRST_STEP
+    rng = np.random.default_rng(SEED)
+    begin = units
     for _ in range(MAX_TRIALS):
         if size < LAST_STEP or units.size == 2:
             break
@@ -147,6 +156,7 @@ def _climb(value: Callable[[FloatArray], float], units: FloatArray, outputs: int
         reached = value(moved)
         better = reached > best
         if better:
-            units, best = moved, reached
+            units = moved
+            best = reached
         size *= LONGER if better else SHORTER
     return units

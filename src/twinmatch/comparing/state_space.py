@@ -48,7 +48,8 @@ class StateSpace:
     def __post_init__(self) -> None:
         for name in "ABCD":
             object.__setattr__(self, name, np.array(getattr(self, name), ndmin=2))
-        (p, m), n = self.D.shape, len(self.A) if self.A.size else 0
+        p, m = self.D.shape
+        n = len(self.A) if self.A.size else 0
         for name, shape in {"A": (n, n), "B": (n, m), "C": (p, n)}.items():
             value = getattr(self, name)
             if value.size == 0 and n == 0:
@@ -113,7 +114,8 @@ class StateSpace:
 
     def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:
         """Values of a continuous system at frequencies (rad/s; may be infinite): (frequencies, p, m)."""
-        n, at = len(self.A), np.isfinite(frequencies)
+        n = len(self.A)
+        at = np.isfinite(frequencies)
         values = np.broadcast_to(self.D + 0j, (frequencies.size, *self.D.shape)).copy()
         if n and at.any():
             resolvent = 1j * frequencies[at, None, None] * np.eye(n) - self.A
@@ -129,7 +131,9 @@ class StateSpace:
         if not poles.size or (poles.real < -ON_AXIS * np.abs(poles).max()).all():
             return self
         moved = _reached(self.A, self.B)
-        a, b, c = _h(moved) @ self.A @ moved, _h(moved) @ self.B, self.C @ moved
+        a = _h(moved) @ self.A @ moved
+        b = _h(moved) @ self.B
+        c = self.C @ moved
         shown = _reached(_h(a), _h(c))
         return StateSpace(_h(shown) @ a @ shown, _h(shown) @ b, c @ shown, self.D)
 
@@ -138,8 +142,12 @@ def _of_law(law: Law) -> StateSpace:
     if isinstance(law, TwoLevel):
         msg = "model: a law of two levels has no linear part; give a PID or a law in state space"
         raise DiscriminationError(msg)
-    q, m, p = law.n_states, law.n_inputs, law.n_outputs
-    slopes, code, references = np.zeros((m + q, q + p)), law.code.copy(), np.zeros((1, law.n_references))
+    q = law.n_states
+    m = law.n_inputs
+    p = law.n_outputs
+    slopes = np.zeros((m + q, q + p))
+    code = law.code.copy()
+    references = np.zeros((1, law.n_references))
     code[LOW : LOW + m], code[LOW + m : LOW + 2 * m] = -np.inf, np.inf
     of_kernel = law_slopes.py_func  # type: ignore[attr-defined]  # as kernel it has no entrance from Python
     of_kernel(code, np.zeros(q), references, 0, np.zeros(p), np.zeros(m), slopes)
@@ -152,7 +160,8 @@ def _h(matrix: Matrix) -> Matrix:
 
 def _reached(A: Matrix, B: Matrix) -> Matrix:
     """Orthonormal basis of the states that the inputs reach, shape (n, reached)."""
-    basis, block = np.zeros((len(A), 0), dtype=A.dtype), B
+    basis = np.zeros((len(A), 0), dtype=A.dtype)
+    block = B
     size = np.abs(B).max(initial=0.0)
     while size > 0 and basis.shape[1] < len(A):
         for _ in range(2):  # once leaves what rounding puts back
@@ -161,7 +170,9 @@ def _reached(A: Matrix, B: Matrix) -> Matrix:
         new = directions[:, lengths > NEGLIGIBLE * size]
         if not new.shape[1]:
             break
-        basis, block, size = np.hstack([basis, new]), A @ new, np.abs(A).max()
+        basis = np.hstack([basis, new])
+        block = A @ new
+        size = np.abs(A).max()
     return basis
 
 
@@ -195,7 +206,10 @@ def half_plane(*systems: StateSpace) -> list[StateSpace]:
 
 
 def _mapped(system: StateSpace, turn: complex) -> StateSpace:
-    a, b, identity = system.A * turn, system.B * turn, np.eye(len(system.A))
+    a = system.A * turn
+    b = system.B * turn
+    identity = np.eye(len(system.A))
     inverse = np.linalg.inv(a + identity)
-    through, root = system.C @ inverse, np.sqrt(2.0)
+    through = system.C @ inverse
+    root = np.sqrt(2.0)
     return StateSpace(inverse @ (a - identity), root * inverse @ b, root * through, system.D - through @ b)

@@ -67,7 +67,8 @@ def disturbed_pair(
     """
     draws, points, _ = moved1.shape
     a = np.empty(points)
-    b, c = np.empty((points, draws)), np.empty((points, draws))
+    b = np.empty((points, draws))
+    c = np.empty((points, draws))
     for w in range(points):
         v = still1[w, 0] * still2[w, 1] - still1[w, 1] * still2[w, 0]
         a[w] = v.real * v.real + v.imag * v.imag
@@ -81,7 +82,8 @@ def disturbed_pair(
 @compiled
 def turn(direction1: Complex, direction2: Complex) -> float:
     """Total phase change of the inner product of two models' directions over the frequencies, radians."""
-    total, before = 0.0, 0j
+    total = 0.0
+    before = 0j
     for w in range(direction1.shape[0]):
         inner = direction1[w, 0] * direction2[w, 0].conjugate()
         inner += direction1[w, 1] * direction2[w, 1].conjugate()
@@ -171,7 +173,8 @@ def fitting_scales(
 
     The actual estimate is the sum over the pairs of the largest |v|.
     """
-    seen, most = 0.0, 0.0
+    seen = 0.0
+    most = 0.0
     for p in which:
         seen += math.sqrt(a[p].max())
         most += math.sqrt(c[p].max())
@@ -179,7 +182,8 @@ def fitting_scales(
     rare = int(tail * draws)
     # beyond these limits no draw reaches the actual estimate
     widest = 2 * most / max(seen, 1e-300)
-    low, high = max(0.0, 1.0 - widest), 1.0
+    low = max(0.0, 1.0 - widest)
+    high = 1.0
     if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= seen) > rare:
         high = 0.0
     least, _ = _bisect_scale(which, a, b, c, seen, rare, low, high)
@@ -261,7 +265,8 @@ def family_uncertainty(
         msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give at least one, (points, n, n)"
         raise DiscriminationError(msg)
     family = _Family.of(twins, gaps, loop, seed)
-    low, high = np.zeros((n, n)), np.zeros((n, n))
+    low = np.zeros((n, n))
+    high = np.zeros((n, n))
     with ThreadPoolExecutor(1) as other:  # the sums are compiled code, which releases the GIL
         sums = other.submit(lambda: [family.sum_of(k) for k in range(n)])
         for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
@@ -291,8 +296,10 @@ class _Family:
         still, moved = zip(*(_directions(twin, gaps.points, loop, rng) for twin in twins), strict=True)
         first, second = np.triu_indices(len(twins), 1)
         width = still[0].shape[0]
-        a, c = np.empty((first.size, width)), np.empty((first.size, width, DRAWS))
-        b, fails = np.empty_like(c), np.zeros((first.size, DRAWS), dtype=np.bool_)
+        a = np.empty((first.size, width))
+        c = np.empty((first.size, width, DRAWS))
+        b = np.empty_like(c)
+        fails = np.zeros((first.size, DRAWS), dtype=np.bool_)
         for p, (i, j) in enumerate(zip(first, second, strict=True)):
             a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])
             pair = (still[i], still[j]), (moved[i], moved[j])
@@ -314,15 +321,18 @@ class _Family:
         """Interval of one candidate's sum, and the sum in every draw, shape (draws,); pairs failing the
         winding condition count separately."""
         own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
-        winding_failed, rest = own[self.gaps[own] == 1], own[self.gaps[own] < 1]
+        winding_failed = own[self.gaps[own] == 1]
+        rest = own[self.gaps[own] < 1]
         draws = np.zeros(DRAWS)
         for pair in winding_failed:
             draws += self._whole(pair)
-        low, high = float(np.quantile(draws, TAIL)), float(winding_failed.size)
+        low = float(np.quantile(draws, TAIL))
+        high = float(winding_failed.size)
         if rest.size:
             total = float(self.gaps[rest].sum())
             least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
-            low, high = low + least * total, high + min(float(rest.size), most * total)
+            low = low + least * total
+            high = high + min(float(rest.size), most * total)
             draws += _recentre(self._estimates(rest), total)
         return low, high, draws
 

@@ -213,7 +213,8 @@ class ForecastScore:
         skill, high = (getattr(self, f"{baseline}_skill{end}") for end in ("", "_high"))
         if not skill or not high:
             return math.nan, math.nan
-        worse, least = math.log(1.0 - skill[k]), math.log(1.0 - high[k])
+        worse = math.log(1.0 - skill[k])
+        least = math.log(1.0 - high[k])
         return 1.0 - skill[k], _ONE_SIDED * (worse - math.log(times)) / max(worse - least, _TINY)
 
 
@@ -349,7 +350,8 @@ class Verdict:
     @property
     def named_fault(self) -> str:
         """The name of the fault; on a plant with several loops with what it concerns."""
-        plant, signal = self.plant, self.fault_signal
+        plant = self.plant
+        signal = self.fault_signal
         return (
             f"{self.fault} of {plant.called(signal)}" if signal and plant and not plant.single else self.fault
         )
@@ -496,14 +498,16 @@ def _held_by(
             systems.append(StateSpace.of(linearised(parameters, point, law.period)))
         except TwinmatchError:
             systems.append(None)
-    centre, controller = systems[chosen], StateSpace.of(law)
+    centre = systems[chosen]
+    controller = StateSpace.of(law)
     if centre is None:
         return ((None, None),) * len(twins)
     spans = spans_of(twins[0][0].model.plant)
     y, u, *_ = best_scaling(
         centre, [each for each in systems if each], controller, outputs=spans.output, inputs=spans.input
     )
-    origin, scaled = centre.scaled(y, u), controller.scaled(u, y)
+    origin = centre.scaled(y, u)
+    scaled = controller.scaled(u, y)
     return tuple(
         (matrix_margin(each.scaled(y, u), scaled), matrix_nu_gap(origin, each.scaled(y, u)))
         if each
@@ -522,7 +526,8 @@ def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
 
 
 def _choice(candidates: Sequence[CandidateScore], chosen: int) -> str:
-    name, share = candidates[chosen].name, candidates[chosen].nominal_probability
+    name = candidates[chosen].name
+    share = candidates[chosen].nominal_probability
     if len(candidates) == 1:
         return f"{name} is the only candidate"
     if math.isnan(share):

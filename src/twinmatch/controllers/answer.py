@@ -179,7 +179,8 @@ def try_controller(
     """
     if not members:
         raise ControllerError("controller: there is no twin to try it on")
-    plant, points = members[0].parameters.model.plant, operating_points(question.references)
+    plant = members[0].parameters.model.plant
+    points = operating_points(question.references)
     number = max(question.draws // len(members), MIN_DRAWS)
     drawn = [member.drawn(number, question.seed + k) for k, member in enumerate(members)]
     laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
@@ -190,7 +191,8 @@ def try_controller(
     courses = [_courses(owners, law, question, progress) for law in laws]
     names = tuple(members[k].name for k in kept)
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
-    period, guarantee = question.holding.period, None
+    period = question.holding.period
+    guarantee = None
     if stability and all(one.eigenvalue < 1.0 for one in stability):
         try:
             guarantee = guarantee_of(plant, stability, as_linear(question.law))
@@ -238,7 +240,9 @@ def _reservations(plant: type[Plant], law: Law) -> list[str]:
 
 class _Progress:
     def __init__(self, watch: Callable[[int, int], None] | None, total: int) -> None:
-        self._watch, self._total, self._done = watch, total, 0
+        self._watch = watch
+        self._total = total
+        self._done = 0
 
     def step(self, number: int = 1) -> None:
         self._done += number
@@ -258,7 +262,9 @@ def _stabilities(
         ControllerError: none can be held.
     """
     linear = None if isinstance(question.law, TwoLevel) else as_linear(question.law)
-    stability, kept, notes = [], [], []
+    stability = []
+    kept = []
+    notes = []
     for k, (member, drawn) in enumerate(owners):
         progress.step(len(drawn))
         try:
@@ -284,7 +290,9 @@ def _courses(
     acting = taken_by(
         owners[0][0].parameters.model.plant, law if isinstance(law, TwoLevel) else as_linear(law)
     )
-    rng, runs, owner = np.random.default_rng(question.seed), [], []
+    rng = np.random.default_rng(question.seed)
+    runs = []
+    owner = []
     for k, (member, drawn) in enumerate(owners):
         for parameters in drawn:
             progress.step()
@@ -320,13 +328,18 @@ def _course(
     rng: np.random.Generator,
 ) -> _Course:
     """One draw over the profile with noisy readings; without noise beyond it, and after loads."""
-    model, holding, size = parameters.model, question.holding, len(question.references)
+    model = parameters.model
+    holding = question.holding
+    size = len(question.references)
     references = np.vstack([question.references, np.tile(question.references[-1], (holding.samples, 1))])
     at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
-    start, before, row = at_rest, question.before, member.disturbances
+    start = at_rest
+    before = question.before
+    row = member.disturbances
     if member.states is not None and member.inputs is not None:
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
-    noise, slow = np.zeros((len(references), len(model.noise))), member.wandering(size, rng)
+    noise = np.zeros((len(references), len(model.noise)))
+    slow = member.wandering(size, rng)
     deviations = model.noise if member.noise is None else member.noise
     noise[:size] = deviations * rng.standard_normal((size, deviations.size))
     if slow is not None:
@@ -335,7 +348,8 @@ def _course(
         parameters, law, references, start, before=before, state=question.state, noise=noise, slow=slow,
         disturbances=row,
     )  # fmt: skip
-    level, m = np.tile(question.before, (holding.samples, 1)), len(model.plant.drives)
+    level = np.tile(question.before, (holding.samples, 1))
+    m = len(model.plant.drives)
     ranges = np.array([high - low for low, high in (drive.limits for drive in model.plant.drives.values())])
     still, *loads = (
         run_law(parameters, law, level, at_rest, before=before, load=load, disturbances=row)
@@ -387,7 +401,8 @@ def _decide(
     if stability:
         worst = max(stability, key=lambda one: one.eigenvalue)
         every = [margin for one in stability for margin in one.margins]
-        gain, delay = min(m.gain_change for m in every), min(m.delay for m in every)
+        gain = min(m.gain_change for m in every)
+        delay = min(m.delay for m in every)
         words = (
             f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
             f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by "
@@ -423,7 +438,8 @@ def levels_words(plant: type[Plant], point: Sequence[float]) -> str:
 
 def open_words(parameters: Parameters, asked: OpenQuestion) -> str:
     """What a decision hangs on, and what to do, in words."""
-    declared, drives = parameters.model.declared[asked.parameter], parameters.model.plant.drives
+    declared = parameters.model.declared[asked.parameter]
+    drives = parameters.model.plant.drives
     text = declared.text or asked.parameter
     drive = drives[asked.drive]
     named = drive.text.split(",")[0] or asked.drive

@@ -55,7 +55,8 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     outputs, inputs = spans_of(plant)
     middle = _middle([space.scaled(outputs, inputs) for space in spaces])
     name, point, _ = named[middle]
-    origin, controller = spaces[middle], StateSpace.of(law)
+    origin = spaces[middle]
+    controller = StateSpace.of(law)
     every = max(len(spaces) // MAX_SEARCHED, 1)
     found = best_scaling(origin, spaces[::every], controller, outputs=outputs, inputs=inputs)
     scaled = origin.scaled(found.outputs, found.inputs)

@@ -82,7 +82,8 @@ def suited(law: Law, plant: type[Plant], period: float) -> Law:
         ControllerError: it is for other numbers of signals.
         PlantError: it is for another sample time.
     """
-    sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
+    sizes = (law.n_outputs, law.n_inputs)
+    of = (len(plant.outputs), len(plant.drives))
     if sizes != of or law.n_references != of[0]:
         raise ControllerError(
             f"is a law for {sizes[0]} outputs, {law.n_references} set-points and {sizes[1]} inputs; plant "
@@ -214,7 +215,8 @@ def _two_level(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
 def _state_space(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
     """A linear law; matrices that are left out are zero."""
     arrays = _arrays(_StateSpace, given)
-    (m, q), r = arrays["C"].shape, arrays["E"].shape[1]
+    m, q = arrays["C"].shape
+    r = arrays["E"].shape[1]
     low, high = _limits(plant, m)
     usual = {"F": np.zeros((q, r)), "G": np.zeros((q, m)), "offset": np.zeros(m), "shift": np.zeros(q)}
     return LinearLaw(**({**usual, "low": low, "high": high} | arrays), period=period)
@@ -228,9 +230,12 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     """
     m = _arrays(_Regulator, given)
     a, b, c, bd, cd, k = (m[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
-    u0, y0 = m["u0"], m["y0"]
+    u0 = m["u0"]
+    y0 = m["y0"]
     try:
-        n, nd, entries = len(a), bd.shape[1], b.shape[1]
+        n = len(a)
+        nd = bd.shape[1]
+        entries = b.shape[1]
         weight = solve_discrete_are(a, b, c.T @ m["Qs"] @ c, m["Rs"])
         gain = np.linalg.solve(m["Rs"] + b.T @ weight @ b, b.T @ weight @ a)
         steady = np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), entries))]])

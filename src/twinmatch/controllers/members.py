@@ -110,7 +110,8 @@ class Holding:
         Raises:
             PlantError: it is not held there within the limits of the drives.
         """
-        model, held = parameters.model, None
+        model = parameters.model
+        held = None
         if self.law is not None and not self._switches:
             held = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
         states, inputs = held or rest_at(parameters, levels, disturbances)
@@ -133,7 +134,8 @@ class Holding:
             law=self.law,
             disturbances=np.tile(steady, (self.samples, 1)),
         )
-        found, limits = Rest(run.states[-2], run.inputs[-1]), self._limits(parameters)
+        found = Rest(run.states[-2], run.inputs[-1])
+        limits = self._limits(parameters)
         near = np.abs(run.outputs[-1] - row) <= _HELD * model.noise
         limited = (found.inputs <= limits[0]) | (found.inputs >= limits[1])
         return found if near.all() or limited.any() else None

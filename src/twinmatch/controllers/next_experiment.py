@@ -150,7 +150,8 @@ class Staircase(NamedTuple):
 
     def rows(self, base: FloatArray, levels: FloatArray, size: int) -> FloatArray:
         """Its levels, sample by sample, shape (N, c); others stay as in `base`, shape (c,)."""
-        rows, m = np.tile(base, (size, 1)), base.size
+        rows = np.tile(base, (size, 1))
+        m = base.size
         for j in range(m) if self.column < 0 else [self.column]:
             late = round(size * self.ends[0] * j / m) if self.column < 0 else 0
             ends = np.minimum(np.round(np.multiply(self.ends, size)).astype(int) + late, size)
@@ -161,7 +162,8 @@ class Staircase(NamedTuple):
     def moved(self, by: float) -> Iterator[Staircase]:
         """The same with one level or time moved by so much, up or down."""
         for k, way in product(range(len(self.shares)), (by, -by)):
-            shares, ends = list(self.shares), list(self.ends)
+            shares = list(self.shares)
+            ends = list(self.ends)
             shares[k] = min(max(shares[k] + way, 0.0), 1.0)
             yield self._replace(shares=tuple(shares))
             if k < len(ends) - 1:
@@ -197,7 +199,8 @@ class PredictedRun(NamedTuple):
 
     def within(self, ends: FloatArray) -> bool:
         """Whether the bands stay in a range, shape (2, o)."""
-        low, high = self.outputs - self.bands, self.outputs + self.bands
+        low = self.outputs - self.bands
+        high = self.outputs + self.bands
         return bool((low >= ends[0]).all() and (high <= ends[1]).all())
 
 
@@ -290,7 +293,8 @@ def _controller(*asked: Any) -> LearningGoal | str:
     answer: ControllerAnswer | None = asked[-1]
     if answer is None:
         return "--for controller needs the law in question; give --loop FILE"
-    contenders, directions = [], []
+    contenders = []
+    directions = []
     for one in answer.stability:
         if not one.sound and one.member.free and len(one.drawn) > len(one.member.free):
             values = np.array([[drawn[name] for name in one.member.free] for drawn in one.drawn])
@@ -306,8 +310,10 @@ def _controller(*asked: Any) -> LearningGoal | str:
 def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> LearningGoal | str:
     """A weak drive, and losses that have grown until they need the same command where the plant is held now:
     there they leave one mark."""
-    leader, before = members[0], terms.before.tolist()
-    declared, parameters = leader.parameters.model.declared, leader.parameters
+    leader = members[0]
+    before = terms.before.tolist()
+    declared = leader.parameters.model.declared
+    parameters = leader.parameters
     lost = next((name for name in leader.free if declared[name].role == "losses"), None)
     if lost is None:
         return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
@@ -324,7 +330,8 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
         found = command(factor)
         return 1.0 if found is None else found * share / now - 1.0
 
-    now, most = command(1.0) or 0.0, command(_GROWN)
+    now = command(1.0) or 0.0
+    most = command(_GROWN)
     if not now:
         return f"{leader.name} needs no command at {before}, or is not held there; begin at another level"
     most_by = math.inf if most is None else most / now
@@ -420,7 +427,8 @@ def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray
     """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in characters, shape
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
-    search, each = _Search([found.leader], found.goal, found.terms), []
+    search = _Search([found.leader], found.goal, found.terms)
+    each = []
     for contender in found.goal.contenders:
         run = search.run(contender, outputs, inputs)
         whole = _information(run.slopes, np.array([len(outputs)]))
@@ -473,11 +481,13 @@ def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, 
 
 class _Search:
     def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
-        self.goal, self.terms = goal, terms
+        self.goal = goal
+        self.terms = terms
         known = [each.twin for each in goal.contenders]
         self.others = [Contender(each) for each in members if each not in known]
         self.family = [Contender(each) for each in members]
-        plant, law = members[0].parameters.model.plant, terms.holding.law
+        plant = members[0].parameters.model.plant
+        law = terms.holding.law
         if law is not None:
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
@@ -506,11 +516,13 @@ class _Search:
             for moved in staircase.moved(by):
                 found = self.curve(moved)
                 if found is not None and cost(found) < cost(curve):
-                    curve, staircase = found, moved
+                    curve = found
+                    staircase = moved
         return curve, staircase
 
     def worth(self, name: str, rows: FloatArray) -> CourseWorth:
-        runs, end = [self.run(each, rows) for each in self.goal.contenders], np.array([len(rows)])
+        runs = [self.run(each, rows) for each in self.goal.contenders]
+        end = np.array([len(rows)])
         family = tuple(self.run(each, rows) for each in self.family)
         fits = all(run.within(self.terms.outputs) for run in (*runs, *family))
         root = _root(self.family[0])
@@ -521,10 +533,14 @@ class _Search:
 
     def run(self, contender: Contender, rows: FloatArray, commands: FloatArray | None = None) -> PredictedRun:
         """A contender over a course, or under these commands."""
-        twin, (states, inputs), terms = contender.twin, self.starts[id(contender.twin)], self.terms
-        model, period = twin.parameters.model, terms.holding.period
+        twin = contender.twin
+        states, inputs = self.starts[id(contender.twin)]
+        terms = self.terms
+        model = twin.parameters.model
+        period = terms.holding.period
         steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
-        rest, share = model.rest, contender.share
+        rest = model.rest
+        share = contender.share
         if commands is None and self.law is not None:
             law = self.law if share == 1.0 else _weakened(self.law, share, rest)
             at = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
@@ -556,7 +572,8 @@ class _Search:
         self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool = False
     ) -> FloatArray:
         """What is known at these ends of a course; nearly: a pair is as far apart from either side."""
-        goal, contenders = self.goal, self.goal.contenders
+        goal = self.goal
+        contenders = self.goal.contenders
         if goal.pairs:
             pairs = permutations(range(len(runs)), 2)
             apart = {
@@ -569,7 +586,8 @@ class _Search:
             return np.asarray(np.mean(np.minimum(nearest, ENOUGH), axis=0))
         found = []
         for k, run in enumerate(runs):
-            whole, root = _information(run.slopes, marks), _root(contenders[k])
+            whole = _information(run.slopes, marks)
+            root = _root(contenders[k])
             if not goal.directions:
                 found.append(_characters_of(whole, len(root)))
                 continue

@@ -37,9 +37,11 @@ def reproduced(
     at a limit, it is zero: a law that has just been switched on.
     """
     if isinstance(law, TwoLevel):
-        state, room = state_holding(law, references[0], readings[0], inputs[0]), np.array(law.on - law.off)
+        state = state_holding(law, references[0], readings[0], inputs[0])
+        room = np.array(law.on - law.off)
     else:
-        state, room = _first_state(law, references, readings, inputs), law.high - law.low
+        state = _first_state(law, references, readings, inputs)
+        room = law.high - law.low
     given = commands_of(law.code, state, references, readings)[0]
     return Reproduction(state, float(np.mean(np.abs(given - inputs) <= _NEAR * np.abs(room))))
 

@@ -103,14 +103,16 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
     end = size + 2 * (len(run.outputs) - size) // 3
     steps = np.abs(np.diff(run.references, axis=0)).max(axis=0, initial=0.0)
     for j, (name, output) in enumerate(plant.outputs.items()):
-        y, (low, high) = run.outputs[:, j], counted_range(output)
+        y = run.outputs[:, j]
+        low, high = counted_range(output)
         found[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
         if isinstance(law, LinearLaw):
             step = steps[j] or LOAD * np.ptp(output.set_points or output.span)
             moves = not np.ptp(y[end:]) <= max(SETTLED * step, _SEEN * output.noise)
             found[f"{name} does not settle after the profile"] = moves
     if isinstance(law, TwoLevel):
-        u, away = run.inputs[:, 0], np.abs(run.outputs[:, 0] - run.references[:, 0])
+        u = run.inputs[:, 0]
+        away = np.abs(run.outputs[:, 0] - run.references[:, 0])
         gone = np.ptp(u[size:]) == 0 and away[-1] > away[size]
         return found | {"it no longer switches": bool(gone or np.ptp(u) == 0)}
     limited = (run.inputs <= limits_of(law)[0]) | (run.inputs >= limits_of(law)[1])
@@ -156,8 +158,10 @@ def run_law(
     that moment, or begins in its own `state`, shape (q,). `load` acts from the first sample on, shape (m,);
     `noise` is that of readings, shape (N, o), and `slow` is how far the outputs are from the twin's.
     """
-    begun, inputs = start.rest.states if states is None else states, start.rest.inputs
-    model, size = parameters.model, len(references)
+    begun = start.rest.states if states is None else states
+    inputs = start.rest.inputs
+    model = parameters.model
+    size = len(references)
     row = model.disturbance_row(disturbances)
     at: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
     still = np.zeros((size, at.size))
@@ -186,7 +190,8 @@ class StepFigures(NamedTuple):
 def step_figures(reference: FloatArray, output: FloatArray, noise: float, period: float) -> StepFigures:
     """Over all steps of a set-point, each until the next one; arrays of shape (N,)."""
     places = np.flatnonzero(np.diff(reference)) + 1
-    beyond, times = [], []
+    beyond = []
+    times = []
     for first, last in pairwise([*places, reference.size]):
         step = reference[first] - reference[first - 1]
         error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
@@ -211,7 +216,8 @@ def quantities_of(
     run: Run, still: Run, loads: Sequence[Run], model_of: Parameters, law: Law
 ) -> dict[CourseFigure, float]:
     """All figures of a course over a profile, and of those after a load at each input, beside one without."""
-    plant, period = model_of.model.plant, law.period
+    plant = model_of.model.plant
+    period = law.period
     found: dict[CourseFigure, float] = {}
     off = run.outputs - run.references
     with np.errstate(over="ignore", invalid="ignore"):
@@ -235,7 +241,8 @@ def quantities_of(
         if isinstance(law, TwoLevel):
             return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
         for i, (name, declared) in enumerate(plant.drives.items()):
-            u, (low, high) = run.inputs[:, i], limits_of(law)[:, i]
+            u = run.inputs[:, i]
+            low, high = limits_of(law)[:, i]
             moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
             found[CourseFigure("travel a minute", name, declared.unit)] = moved
             limited = float(np.mean((u <= low) | (u >= high)))

@@ -217,7 +217,8 @@ def _tuned(gains: PidGains) -> tuple[str, ...]:
 def _cases(
     twins: Sequence[TriedTwin], gains: PidGains, level: float, holding: Holding, aim: Aim
 ) -> list[_Case]:
-    cases, error = [], "there is none"
+    cases = []
+    error = "there is none"
     for twin in twins:
         try:
             cases.append(_case(twin, gains, level, holding, aim))
@@ -230,10 +231,14 @@ def _cases(
 
 def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim: Aim) -> _Case:
     """One twin at a set-point: a step of it, or a load as an integral that begins off by it."""
-    plant, model = holding.linear(twin.parameters, [level], twin.disturbances), twin.parameters.model
-    row, size = model.disturbance_row(twin.disturbances), holding.samples + SKIPPED
-    y, u = read(twin.parameters, plant.rest.states, row), plant.rest.input
-    reference, inputs = np.full(size, y), np.full(size, u)
+    plant = holding.linear(twin.parameters, [level], twin.disturbances)
+    model = twin.parameters.model
+    row = model.disturbance_row(twin.disturbances)
+    size = holding.samples + SKIPPED
+    y = read(twin.parameters, plant.rest.states, row)
+    u = plant.rest.input
+    reference = np.full(size, y)
+    inputs = np.full(size, u)
     if aim == "tracking":
         low, high = model.plant.output.set_points or model.plant.output.span
         reference[SKIPPED:] += STEP * (high - low) * (1.0 if y < (low + high) / 2 else -1.0)
@@ -249,7 +254,8 @@ def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim:
 
 
 def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ...]:
-    output, plants = twin.parameters.model.plant.output, []
+    output = twin.parameters.model.plant.output
+    plants = []
     low, high = output.set_points or output.span
     for by in (0.0, STEP, -STEP):
         try:

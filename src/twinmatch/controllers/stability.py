@@ -100,7 +100,8 @@ def _loops(
     parameters: Parameters, law: LinearLaw, points: Sequence[Point], holding: Holding, row: FloatArray | None
 ) -> tuple[dict[Point, WholeLoop], str]:
     """The loop at every point at which the plant can be held, and why not at another."""
-    held, error = {}, ""
+    held = {}
+    error = ""
     for point in points:
         try:
             held[point] = WholeLoop(holding.linear(parameters, point, row), law)
@@ -132,16 +133,19 @@ class OpenQuestion:
 
 def open_question(found: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
     """The parameter that decides over the draws, and the step after which the outputs show it most."""
-    free, drawn = found.member.free, found.drawn
+    free = found.member.free
+    drawn = found.drawn
     values = np.array([[one[name] for name in free] for one in drawn])
-    spread, finite = values.std(axis=0), np.isfinite(found.eigenvalues)
+    spread = values.std(axis=0)
+    finite = np.isfinite(found.eigenvalues)
     sizes = np.where(finite, found.eigenvalues, 2.0)
     with np.errstate(all="ignore"):
         moved = (values - values.mean(axis=0)) / spread
         related = np.nan_to_num(np.abs(moved.T @ (sizes - sizes.mean())))
     name = free[int(np.argmax(related))]
     ends = [drawn[int(f(values[:, free.index(name)]))] for f in (np.argmin, np.argmax)]
-    parameters, shown = found.member.parameters, {}
+    parameters = found.member.parameters
+    shown = {}
     for drive, declared in parameters.model.plant.drives.items():
         step = STEP * (declared.limits[1] - declared.limits[0])
         pair = [parameters.replace(**{name: end[name]}) for end in ends]

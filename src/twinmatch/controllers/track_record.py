@@ -94,7 +94,8 @@ def compared(
         noise: standard deviations of the readings, shape (o,).
     """
     place = seen.astype(bool)
-    errors, outputs = (readings - answer.references)[place], answer.plant.outputs
+    errors = (readings - answer.references)[place]
+    outputs = answer.plant.outputs
     found = [(q, s) for q, s in answer.courses.figures.items() if q.name == COST]
     quantity, spread = found[-1]  # that of all outputs follows those of each
     of = [j for j, name in enumerate(outputs) if quantity.signal in {name, "all outputs"}]

@@ -24,7 +24,8 @@ from twinmatch.dynamics.filters import TrackedParameters, _carry, _expected, _mo
 from twinmatch.dynamics.kernels import N_UNKNOWN, OUTPUT_SLOPES, OUTPUTS, Code, Work, call, work_for
 from twinmatch.signals import FloatArray
 
-WIDE, WIDENED = 0.03, 4.0
+WIDE = 0.03
+WIDENED = 4.0
 """Share of readings with a wide noise, and by what factor it is wider."""
 JUNK = 1e-4
 """Share of readings that say nothing: anything within the span."""
@@ -32,7 +33,8 @@ _SHOWS = 1e-8
 """Share of the expected variance below which a change does not show in a reading."""
 _HOPELESS = -8.0
 """Evidence at which an onset is dropped, nats."""
-_ROOT, _PEAK = math.sqrt(2.0), 1.0 / math.sqrt(2.0 * math.pi)
+_ROOT = math.sqrt(2.0)
+_PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 
 
 class BankConstants(NamedTuple):
@@ -115,7 +117,8 @@ class ChangeTraces(NamedTuple):
 
 def unborn(count: int, size: int) -> ChangeTraces:
     """Room for so many onsets, of filters of so many numbers."""
-    born, trace = np.full(count, -1, dtype=np.int64), np.zeros((count, size))
+    born = np.full(count, -1, dtype=np.int64)
+    trace = np.zeros((count, size))
     return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(6)))
 
 
@@ -151,11 +154,13 @@ def _cell(off: float, spread: float, step: float) -> tuple[float, float, float]:
     if step < 0.5 * spread or abs(off) > 6.0 * spread + step:
         away = off / spread
         return _PEAK * math.exp(-0.5 * away * away) * step / spread, away, 1.0
-    low, high = (off - 0.5 * step) / spread, (off + 0.5 * step) / spread
+    low = (off - 0.5 * step) / spread
+    high = (off + 0.5 * step) / spread
     inside = 0.5 * (math.erf(high / _ROOT) - math.erf(low / _ROOT))
     if inside < 1e-9:
         return 0.0, off / spread, 1.0
-    at_low, at_high = _PEAK * math.exp(-0.5 * low * low), _PEAK * math.exp(-0.5 * high * high)
+    at_low = _PEAK * math.exp(-0.5 * low * low)
+    at_high = _PEAK * math.exp(-0.5 * high * high)
     moved = (at_low - at_high) / inside
     return inside, moved, moved * moved + (high * at_high - low * at_low) / inside
 
@@ -166,8 +171,10 @@ def _read(
 ) -> tuple[float, float, float]:
     """Log-probability of the reading of output i that is `off` from the one expected with a variance; how far
     it moves the belief and how much of the covariance goes, both per unit of reach."""
-    noise, step = r.noise[i], r.step[i]
-    usual, wide = math.sqrt(expected + noise * noise), math.sqrt(expected + (WIDENED * noise) ** 2)
+    noise = r.noise[i]
+    step = r.step[i]
+    usual = math.sqrt(expected + noise * noise)
+    wide = math.sqrt(expected + (WIDENED * noise) ** 2)
     near, moves, goes = _cell(off, usual, step)
     far, moves_far, goes_far = _cell(off, wide, step)
     sound = (1.0 - JUNK) * (1.0 - r.pauses[i])
@@ -176,8 +183,10 @@ def _read(
     total = near + far + JUNK * min(step / fixed.spans[i], 1.0)
     if r.repeated[i]:
         total += r.pauses[i] * (1.0 - JUNK)
-    near, far = near / total, far / total
-    moves, moves_far = moves / usual, moves_far / wide
+    near = near / total
+    far = far / total
+    moves = moves / usual
+    moves_far = moves_far / wide
     moved = near * moves + far * moves_far
     squares = near * moves * moves + far * moves_far * moves_far
     gone = near * goes / (usual * usual) + far * goes_far / (wide * wide) - (squares - moved * moved)
@@ -195,10 +204,12 @@ def _correct_traces(
     for t in range(begin, end):
         if traces.born[t] < 0:
             continue
-        trace, a = traces.trace[t], 0.0
+        trace = traces.trace[t]
+        a = 0.0
         for j in range(slope.size):
             a += slope[j] * trace[j]
-        mean, variance = traces.mean[t], traces.variance[t]
+        mean = traces.mean[t]
+        variance = traces.variance[t]
         if a * a * (mean * mean + variance) < least:
             traces.now[t] += usual
             continue
@@ -221,7 +232,8 @@ def _carry_traces(
     for t in range(begin, end):
         if traces.born[t] < 0:
             continue
-        trace, r = traces.trace[t], (t - begin) // slots
+        trace = traces.trace[t]
+        r = (t - begin) // slots
         for j in range(n):
             new[j] = 0.0
             for k in range(size):
@@ -241,7 +253,8 @@ def _shown_by(
     code: Code, free: TrackedParameters, vector: FloatArray, work: Work, i: int, slope: FloatArray
 ) -> None:
     """Derivatives of output i by states and parameters."""
-    n, o = work.there.size - 1, work.seen.size
+    n = work.there.size - 1
+    o = work.seen.size
     for j in range(n):
         slope[j] = work.shown[i * n + j]
     for j in range(free.places.size):
@@ -257,9 +270,17 @@ def _move_member(
     """Move a belief one period on under the inputs u, shape (m,); `moved` gets the derivatives of the states
     by all of its numbers, and `noises` the variances that this adds. A push moves states as far as an output
     shows them."""
-    o, m, p, n, size = work.seen.size, u.size, fixed.free.places.size, work.there.size - 1, at.size
-    share, push, fading = n + p, n + p + m, size - o
-    there, inputs, was = at[:n].copy(), np.empty(m), np.empty(o)
+    o = work.seen.size
+    m = u.size
+    p = fixed.free.places.size
+    n = work.there.size - 1
+    size = at.size
+    share = n + p
+    push = n + p + m
+    fading = size - o
+    there = at[:n].copy()
+    inputs = np.empty(m)
+    was = np.empty(o)
     for q in range(m):
         more = 1.0 + min(max(at[share + q], -1.0), 1.0)
         inputs[q] = fixed.rest[q] + (u[q] - fixed.rest[q]) * more + at[push + q]
@@ -298,11 +319,19 @@ def _correct_member(
     end: int, r: Reading, vector: FloatArray, work: Work,
 ) -> None:  # fmt: skip
     """Correct a member by a sample, and its traces, which are those from `begin` to before `end`."""
-    at, covariance, d, p = members.at[b], members.covariance[b], r.disturbances, fixed.free.places.size
-    o, size, n = r.y.size, at.size, work.there.size - 1
-    slope, reach, lost = np.zeros(size), np.zeros(size), np.zeros(size)
+    at = members.at[b]
+    covariance = members.covariance[b]
+    d = r.disturbances
+    p = fixed.free.places.size
+    o = r.y.size
+    size = at.size
+    n = work.there.size - 1
+    slope = np.zeros(size)
+    reach = np.zeros(size)
+    lost = np.zeros(size)
     for i in range(o):
-        offset, passing = size - 3 * o + i, size - 2 * o + i
+        offset = size - 3 * o + i
+        passing = size - 2 * o + i
         call(code[OUTPUTS], at, fixed.rest, d, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, fixed.rest, d, work.p, work.b, work.shown)
         _shown_by(code, fixed.free, vector, work, i, slope)
@@ -333,15 +362,19 @@ def step(
 ) -> None:  # fmt: skip
     """Correct all members and traces by a sample, and move them on to the next, in place."""
     slots = traces.born.size // (levels * rows.number.size)
-    vector, size = fixed.free.vector.copy(), members.at.shape[1]
-    work, noises = work_for(code, vector), np.zeros(size)
+    vector = fixed.free.vector.copy()
+    size = members.at.shape[1]
+    work = work_for(code, vector)
+    noises = np.zeros(size)
     moved = np.zeros((work.there.size - 1, size))
     for t in range(traces.now.size):
         traces.now[t] = 0.0
     for b in range(members.alive.size):
         if not members.alive[b]:
             continue
-        at, covariance, u = members.at[b], members.covariance[b], r.inputs[members.way[b]]
+        at = members.at[b]
+        covariance = members.covariance[b]
+        u = r.inputs[members.way[b]]
         begin = min(b, levels) * slots * rows.number.size
         end = begin + (slots * rows.number.size if b < levels else 0)
         _use(code, fixed.free, at, vector, work)
@@ -364,7 +397,10 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
     for t in range(end - 1, begin - 1, -1):
         if traces.born[t] < 0:
             return t
-    born, least, place, keep = traces.born, np.inf, -1, -1
+    born = traces.born
+    least = np.inf
+    place = -1
+    keep = -1
     for new in range(begin, end):
         old = -1  # the next older one
         for t in range(begin, end):
@@ -373,7 +409,9 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
         alike = (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
         if alike < least:
             behind = traces.score[old] + traces.weight[old] < traces.score[new] + traces.weight[new]
-            least, place, keep = alike, old if behind else new, new if behind else old
+            least = alike
+            place = old if behind else new
+            keep = new if behind else old
     traces.mass[keep] += traces.mass[place]
     return place
 
@@ -411,7 +449,8 @@ def weigh(
 ) -> float:
     """Weigh the healthy ones by a sample, of log-probability `walked` for the last of them, which has no
     equations; returns that of all. A share `switch` of the weights is spread by the prior."""
-    joint, highest = log_weights.copy(), -np.inf
+    joint = log_weights.copy()
+    highest = -np.inf
     for b in range(joint.size):
         if b == joint.size - 1:
             joint[b] += walked
@@ -437,7 +476,8 @@ def tally(
 ) -> None:  # fmt: skip
     """Add this sample, of log-probability `healthy` without a change, to the scores, divided by `doubts` at
     each age; `totals` gets the evidence of each cause, summed over its onsets, and `best` its likeliest."""
-    count, heights = rows.number.size, np.empty(totals.size)
+    count = rows.number.size
+    heights = np.empty(totals.size)
     slots = traces.born.size // (levels * count)
     gains = np.empty(traces.born.size)
     for c in range(totals.size):
@@ -445,7 +485,8 @@ def tally(
     for t in range(traces.born.size):
         if traces.born[t] < 0:
             continue
-        age, c = now - traces.born[t], rows.cause[t // slots % count]
+        age = now - traces.born[t]
+        c = rows.cause[t // slots % count]
         traces.score[t] += (traces.now[t] - healthy) / doubts[min(age, doubts.size - 1)]
         gains[t] = traces.score[t] + traces.weight[t] + math.log(max(traces.mass[t], 1e-300))
         if gains[t] > heights[c]:

@@ -52,7 +52,8 @@ class PlantFormulas(NamedTuple):
 
 def plant_formulas(derived: Derived) -> PlantFormulas:
     """The formulas of derived equations, with exact derivatives."""
-    d, writer = derived, _Writer(derived)
+    d = derived
+    writer = _Writer(derived)
     by_state = [e.diff(s) for e in d.rates for s in d.states]
     by_input = [e.diff(s) for e in d.rates for s in d.inputs]
     by_unknown = [e.diff(s) for e in d.rates for s in d.unknown]

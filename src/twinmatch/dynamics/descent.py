@@ -32,10 +32,12 @@ _NOTHING = 1e-10
 _SMALL = 1e-10
 """Step, in units of the scales, below which a search between kinks ends."""
 _FIRST_DAMPING = 1e-3
-_NEAR, _ALIKE = 0.5, 0.5
+_NEAR = 0.5
+_ALIKE = 0.5
 """Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
 MIN_DAMPING: Final = 1e-12
-_SETTLING, _MAX_DAMPING = 1e-9, 1e9
+_SETTLING = 1e-9
+_MAX_DAMPING = 1e9
 """Damping tried next if the least finds no step, and damping at which parameters are nearly independent."""
 
 _DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MAX_EVALUATIONS, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
@@ -141,14 +143,17 @@ def descend(
 @compiled
 def update_search(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray) -> bool:
     """Take sum, gradient and JᵀJ at the requested point; return whether another point is requested."""
-    values, figures = search.values, search.figures
-    lower, upper = search.lower, search.upper
+    values = search.values
+    figures = search.figures
+    lower = search.lower
+    upper = search.upper
     first = figures[_EVALUATIONS] == 0.0
     figures[_EVALUATIONS] += 1.0
     if first or cost < search.best[0]:
         if not first:
             # The accuracy of the quadratic model sets the damping of the next step.
-            fell, expected = search.best[0] - cost, figures[_EXPECTED]
+            fell = search.best[0] - cost
+            expected = figures[_EXPECTED]
             trusted = fell / expected if expected > 0.0 else 0.0
             less = max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3)
             figures[_DAMPING] = max(figures[_DAMPING] * less, MIN_DAMPING)
@@ -176,7 +181,8 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
     for i in range(values.size):
         moved = moved or abs(step[i]) > _SMALL * search.scales[i]
         # A point beyond a bound, or within rounding of it, is set on it.
-        there, near = values[i] + step[i], 1e-12 * (upper[i] - lower[i])
+        there = values[i] + step[i]
+        near = 1e-12 * (upper[i] - lower[i])
         there = lower[i] if there < lower[i] + near else there
         search.point[i] = upper[i] if there > upper[i] - near else there
     if not moved:
@@ -190,7 +196,8 @@ def _in_valley(search: Search, cost: float) -> bool:
     least = search.figures[_KNOWN]
     if np.isnan(least):
         return False
-    rise, n = 0.0, search.values.size
+    rise = 0.0
+    n = search.values.size
     for i in range(n):
         for j in range(n):
             way = (search.values[i] - search.known[i]) * (search.values[j] - search.known[j])
@@ -245,13 +252,15 @@ def _step_of_free(
         fixed[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
         _solve_free(hessian, gradient, step, np.flatnonzero(~fixed), damping)
-        first, reach = -1, 1.0
+        first = -1
+        reach = 1.0
         for p in range(n):
             if fixed[p]:
                 continue
             room = upper[p] - values[p] if step[p] > 0.0 else lower[p] - values[p]
             if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
-                first, reach = p, abs(room) / abs(step[p])
+                first = p
+                reach = abs(room) / abs(step[p])
         if first >= 0:
             step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
             fixed[first] = True
@@ -266,7 +275,8 @@ def _step_of_free(
                 inward = -slope if values[i] + step[i] <= lower[i] else slope
                 inward /= np.sqrt(hessian[i, i])
                 if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
-                    first, pull = i, inward
+                    first = i
+                    pull = inward
         if first < 0:
             return step, True
         fixed[first] = False
@@ -282,7 +292,8 @@ def _solve_free(
     By Cholesky's factors, in units in which the diagonal is one.
     """
     m = free.size
-    factor, right = np.zeros((m, m)), np.zeros(m)
+    factor = np.zeros((m, m))
+    right = np.zeros(m)
     fixed = np.ones(step.size, dtype=np.bool_)
     fixed[free] = False
     for i in range(m):

@@ -37,7 +37,9 @@ def at_most(seconds: float = PATIENCE) -> Iterator[None]:
 
     It interrupts Python code between two instructions, but no call that waits in C, such as `time.sleep`.
     """
-    thread, lock, done = ctypes.c_ulong(threading.get_ident()), threading.Lock(), False
+    thread = ctypes.c_ulong(threading.get_ident())
+    lock = threading.Lock()
+    done = False
 
     def stop() -> None:
         with lock:
@@ -96,7 +98,8 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
     )
     written_outputs = outputs_of(plant, written)
 
-    kinks, roots = Kinks(), Roots(plant)
+    kinks = Kinks()
+    roots = Roots(plant)
     rates = tuple(kinks.resolved(roots.smooth(sympy.sympify(written.rates[s]))) for s in states)
     quantities = {
         name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()

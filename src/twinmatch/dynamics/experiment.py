@@ -94,9 +94,13 @@ class Experiment:
             if unknown:
                 msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known)}"
                 raise PlantError(msg)
-        self.model, self.base, self.window = model, base, window
-        self.free, self.free_starts = tuple(free), tuple(free_starts)
-        self.free_gains, self.closed = tuple(free_gains), loop is not None
+        self.model = model
+        self.base = base
+        self.window = window
+        self.free = tuple(free)
+        self.free_starts = tuple(free_starts)
+        self.free_gains = tuple(free_gains)
+        self.closed = loop is not None
         if loop is not None:
             loop.require_period(window.period)
         code, memory = law_code(loop, None if loop is None else loop.state(window))
@@ -172,7 +176,8 @@ class Experiment:
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives, from the third sample on."""
-        start, data = self._start(values), self._data
+        start = self._start(values)
+        data = self._data
         still = np.zeros((self.measured.shape[1], self._problem.first.size))
         never = np.zeros(self.measured.shape[1], dtype=np.bool_)
         outputs, inputs, passed = self._kernels.run(
@@ -195,7 +200,8 @@ class Experiment:
     def scores(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What every sample adds to the gradient Jᵀr of `normal`, shape (N − 2, n), and the slope of their
         sum, shape (n, n): robust residuals weigh 1/(1 + r²)^(3/2) in it, less than in JᵀJ."""
-        tangents, response = self.tangents(values), self.simulate(values)
+        tangents = self.tangents(values)
+        response = self.simulate(values)
         weights = self._data.weights
         simulated = np.concatenate([response.outputs, response.inputs], axis=1).T
         residuals = (self.measured - simulated) * weights
@@ -262,11 +268,13 @@ def sensitivities(
     Raises:
         PlantError: the plant is too fast for the period.
     """
-    model, kernels = parameters.model, parameters.model.kernels_by(free)
+    model = parameters.model
+    kernels = parameters.model.kernels_by(free)
     unread = np.zeros((len(model.plant.outputs) + len(model.plant.drives), len(inputs)))
     code, memory = law_code(None)
     none = np.zeros(0, dtype=np.int64)
-    references, known = np.ascontiguousarray(inputs), np.ascontiguousarray(disturbances)
+    references = np.ascontiguousarray(inputs)
+    known = np.ascontiguousarray(disturbances)
     which = _indices(kernels.UNKNOWN, free)
     data = RunData(which, none, memory, references, known, unread, unread, False, float(period))
     columns = np.zeros((states.size, len(free)))

@@ -164,7 +164,8 @@ def _take(
     informative, and Joseph's form (I − gain·slopeᵀ)·covariance·(I − gain·slopeᵀ)ᵀ + noise·gain·gainᵀ is
     correct for any gain.
     """
-    size, more = slope.size, np.empty(slope.size)
+    size = slope.size
+    more = np.empty(slope.size)
     most = limit * math.sqrt(variance)
     weight = (most / abs(innovation) if abs(innovation) > most else 1.0) / variance
     for i in range(size):
@@ -188,8 +189,11 @@ def _move(
 ) -> FloatArray:  # fmt: skip
     """Move states one period on, in place; returns their derivatives by the m parameters `which`, by the
     states and by the inputs, shape (n, m + n + inputs); `moved` gets those by states, then parameters."""
-    n, m, inputs = x.size, which.size, u.size
-    columns, du = np.zeros((n, m + n + inputs)), np.zeros((inputs, m + n + inputs))
+    n = x.size
+    m = which.size
+    inputs = u.size
+    columns = np.zeros((n, m + n + inputs))
+    du = np.zeros((inputs, m + n + inputs))
     for i in range(n):
         columns[i, m + i] = 1.0
     for i in range(inputs):
@@ -236,9 +240,16 @@ def correct(
     `which`, shape (2, m), holds the indices of the estimated parameters among those with tangents and among
     all; `bounds`, shape (2, m), limits them. Innovations are clipped at `limit` standard deviations.
     """
-    size, n, q, outputs = covariance.shape[0], x.size, code[N_UNKNOWN], y.size
-    slope, reach, gain, moved = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    innovations, variances = np.zeros(outputs), np.zeros(outputs)
+    size = covariance.shape[0]
+    n = x.size
+    q = code[N_UNKNOWN]
+    outputs = y.size
+    slope = np.zeros(size)
+    reach = np.zeros(size)
+    gain = np.zeros(size)
+    moved = np.zeros(size)
+    innovations = np.zeros(outputs)
+    variances = np.zeros(outputs)
     work = work_for(code, vector)
     call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
     call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
@@ -304,10 +315,14 @@ def follow(
     `sizes`, shape (C, 2), are the numbers of states and parameters.
     """
     taken = np.zeros(len(sizes), dtype=np.int64)
-    none, unbounded = np.zeros((2, 0), dtype=np.int64), np.zeros((2, 0))
+    none = np.zeros((2, 0), dtype=np.int64)
+    unbounded = np.zeros((2, 0))
     for i in range(len(sizes)):
         n, m = sizes[i]
-        code, vector, at, row = codes[i], vectors[i, :m], x[i, :n], rows[i]
+        code = codes[i]
+        vector = vectors[i, :m]
+        at = x[i, :n]
+        row = rows[i]
         covariance = covariances[i, : n * n].reshape((n, n))
         for k in range(len(u)):
             predict(code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
@@ -346,14 +361,26 @@ def track(
     `covariance`, shape (n, n), is theirs.
     """
     free = fixed.free
-    m, size = free.places.size, at.size
+    m = free.places.size
+    size = at.size
     n = size - m - EXTRA
-    share, offset, passing, rate = size + SHARE, size + OFFSET, size + PASSING, size + RATE
-    y, u, opened, rising = readings.output, readings.input, opening.drift, opening.rising
-    vector, inputs = free.vector.copy(), np.empty(1)
+    share = size + SHARE
+    offset = size + OFFSET
+    passing = size + PASSING
+    rate = size + RATE
+    y = readings.output
+    u = readings.input
+    opened = opening.drift
+    rising = opening.rising
+    vector = free.vector.copy()
+    inputs = np.empty(1)
     work = work_for(code, vector)
-    slope, reach, gain, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    moved, there = np.zeros((n, size)), np.zeros(n)
+    slope = np.zeros(size)
+    reach = np.zeros(size)
+    gain = np.zeros(size)
+    noises = np.zeros(size)
+    moved = np.zeros((n, size))
+    there = np.zeros(n)
     slope[offset] = slope[passing] = 1.0
     _use(code, free, at, vector, work)
     for k in range(u.size):
@@ -424,8 +451,12 @@ def _move_belief(
 ) -> float:  # fmt: skip
     """Move a belief one period on; returns how far the equations move the output. `moved` gets the
     derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
-    free, n, m = fixed.free, there.size, fixed.free.places.size
-    share, fading, push = at.size + SHARE, at.size + FADING, at.size + PUSH
+    free = fixed.free
+    n = there.size
+    m = fixed.free.places.size
+    share = at.size + SHARE
+    fading = at.size + FADING
+    push = at.size + PUSH
     inputs = np.empty(1)
     shows = 0.0
     for i in range(n):

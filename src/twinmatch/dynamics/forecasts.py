@@ -95,11 +95,14 @@ class Foresight:
         model = self._model = twins[0][0].model
         period = float(period if loop is None else loop.period)
         self._name = "inputs" if loop is None else "set-points"
-        self._loop, self._columns = loop, n_references(model.plant, loop)
+        self._loop = loop
+        self._columns = n_references(model.plant, loop)
         self._kernels = [parameters.model.kernels_by(unsure) for parameters, unsure in twins]
         self.sizes = np.array([(len(p.model.states), p.vector.size, len(names)) for p, names in twins])
-        count, (most, longest, widest) = len(twins), self.sizes.max(axis=0)
-        self._vectors, self._which = np.zeros((count, longest)), np.zeros((count, 2 * widest), dtype=np.int64)
+        count = len(twins)
+        most, longest, widest = self.sizes.max(axis=0)
+        self._vectors = np.zeros((count, longest))
+        self._which = np.zeros((count, 2 * widest), dtype=np.int64)
         self._process_noise = np.zeros((count, most + widest))
         for i, ((parameters, unsure), each) in enumerate(zip(twins, drift, strict=True)):
             n, p, k = self.sizes[i].tolist()
@@ -136,8 +139,10 @@ class Foresight:
         Raises:
             PlantError: a signal is invalid, or the controller is not known.
         """
-        title, (most, _, widest) = self._model.title, self.sizes.max(axis=0)
-        starts, joints = np.zeros((len(states), most)), np.zeros((len(states), (most + widest) ** 2))
+        title = self._model.title
+        most, _, widest = self.sizes.max(axis=0)
+        starts = np.zeros((len(states), most))
+        joints = np.zeros((len(states), (most + widest) ** 2))
         for i, (n, _, k) in enumerate(self.sizes.tolist()):
             starts[i, :n] = _fit(title, "states", states[i], (n,))
             joints[i, : (n + k) ** 2] = _fit(title, "covariance", covariances[i], (n + k, n + k)).ravel()
@@ -163,7 +168,8 @@ class Foresight:
         Raises:
             PlantError: a signal is invalid.
         """
-        (n, _, k), (period, *then) = self.sizes[0].tolist(), self._then
+        n, _, k = self.sizes[0].tolist()
+        period, *then = self._then
         if self._model.is_external:
             return LoopForecast._make(
                 self._kernels[0].call(
@@ -173,7 +179,8 @@ class Foresight:
                 )
             )  # fmt: skip
         means, variances = self.each(now, [BANDED if banded else MEAN], signal, disturbances)
-        many, shown = self._model.noise.size, variances[0] if banded else variances[0, :, :0]
+        many = self._model.noise.size
+        shown = variances[0] if banded else variances[0, :, :0]
         return LoopForecast(means[0, :many].T, means[0, many:].T, shown[:many].T, shown[many:].T)
 
     def each(

@@ -113,7 +113,9 @@ def prepare(code: Code, vector: FloatArray, work: Work) -> None:
 def work_for(code: Code, vector: FloatArray) -> Work:
     """The arrays for a plant with these parameters."""
     p = np.empty(code[N_PARAMETERS] + code[N_CONSTANTS])
-    b, there, seen = np.zeros(code[N_SWITCHES]), np.zeros(code[N] + 1), np.zeros(code[N_OUTPUTS])
+    b = np.zeros(code[N_SWITCHES])
+    there = np.zeros(code[N] + 1)
+    seen = np.zeros(code[N_OUTPUTS])
     shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS]))
     work = Work(p, b, there, seen, shown)
     prepare(code, vector, work)
@@ -123,7 +125,8 @@ def work_for(code: Code, vector: FloatArray) -> Work:
 @compiled(inside=True)
 def _reach(code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, h: float) -> float:
     """Length of the step that ends just beyond the first kink within a step of h."""
-    low, high = 0.0, h
+    low = 0.0
+    high = h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         _call_step(code[STEP], x, u, d, work.p, work.b, work.there, middle)
@@ -212,9 +215,11 @@ def advance_side_by_side(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The states of several plants of one model one period later, shape (k, n), and their outputs then,
     shape (k, o); `vectors` has a row of parameters for each."""
-    after, outputs = states.copy(), np.empty((states.shape[0], code[N_OUTPUTS]))
+    after = states.copy()
+    outputs = np.empty((states.shape[0], code[N_OUTPUTS]))
     for plant in range(states.shape[0]):
-        work, x = work_for(code, vectors[plant]), after[plant]
+        work = work_for(code, vectors[plant])
+        x = after[plant]
         tick(code, x, u, d, work, period, steps)
         call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
         for k in range(work.seen.size):
@@ -228,11 +233,14 @@ def begin(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Initial states, shape (n,), at readings y after inputs u, and their derivatives by y, shape (n, o), and
     the unknowns, (n, q)."""
-    n, o, q = code[N], code[N_OUTPUTS], code[N_UNKNOWN]
+    n = code[N]
+    o = code[N_OUTPUTS]
+    q = code[N_UNKNOWN]
     work = work_for(code, vector)
     start = np.empty(n * (1 + o + q))
     call(code[START], y, u, d, work.p, work.b, start)
-    by_y, by_unknown = start[n : n * (1 + o)].copy(), start[n * (1 + o) :].copy()
+    by_y = start[n : n * (1 + o)].copy()
+    by_unknown = start[n * (1 + o) :].copy()
     return start[:n].copy(), by_y.reshape((n, o)), by_unknown.reshape((n, q))
 
 
@@ -241,7 +249,8 @@ def outputs_at(
     code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The outputs, shape (o,), and the plant's other quantities."""
-    work, quantities = work_for(code, vector), np.zeros(code[N_QUANTITIES])
+    work = work_for(code, vector)
+    quantities = np.zeros(code[N_QUANTITIES])
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
     call(code[QUANTITIES], x, u, d, work.p, work.b, quantities)
     call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
@@ -259,8 +268,11 @@ def parts(
     depends on the output, such as a heater that starts at the temperature of what it heats, are shifted by
     the output's error: their distance from the output is kept, so that errors of the plant do not accumulate.
     """
-    n, work = code[N], work_for(code, vector)
-    of_u, of_rest, started = scalar(u), scalar(rest), np.empty(code[N] * (2 + code[N_UNKNOWN]))
+    n = code[N]
+    work = work_for(code, vector)
+    of_u = scalar(u)
+    of_rest = scalar(rest)
+    started = np.empty(code[N] * (2 + code[N_UNKNOWN]))
     call(code[START], scalar(y), of_u, d, work.p, work.b, started)
     call(code[OUTPUT_SLOPES], started, of_u, d, work.p, work.b, work.shown)
     if not np.isnan(before[0]):
@@ -270,7 +282,9 @@ def parts(
             if work.shown[i] == 0.0:
                 started[i] = before[i] + (started[n + i] * off if started[n + i] != 0.0 else 0.0)
     call(code[OUTPUTS], started, of_u, d, work.p, work.b, work.seen)
-    begun, after, idle = work.seen[0], started[:n].copy(), started[:n].copy()
+    begun = work.seen[0]
+    after = started[:n].copy()
+    idle = started[:n].copy()
     tick(code, after, of_u, d, work, period, steps)
     tick(code, idle, of_rest, d, work, period, steps)
     call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.seen)  # what acts at once is not a movement
@@ -285,12 +299,17 @@ def slopes_at(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, shape (n, n), inputs, (n, m), and parameters, (n, q); and those of
     the outputs by states, shape (o, n), parameters, (o, q), and inputs, (o, m)."""
-    n, q, m, o = code[N], code[N_UNKNOWN], code[N_INPUTS], code[N_OUTPUTS]
-    work, slopes = work_for(code, vector), np.empty(n * (q + 1 + n + m))
+    n = code[N]
+    q = code[N_UNKNOWN]
+    m = code[N_INPUTS]
+    o = code[N_OUTPUTS]
+    work = work_for(code, vector)
+    slopes = np.empty(n * (q + 1 + n + m))
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
     call(code[SLOPES], x, u, d, work.p, work.b, slopes)
     call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
-    rates, rest = slopes[n * q : n * q + n].copy(), slopes[n * q + n :]
+    rates = slopes[n * q : n * q + n].copy()
+    rest = slopes[n * q + n :]
     return (
         rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy().reshape((n, m)),
         slopes[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
@@ -338,8 +357,12 @@ def step_count(
     The fastest rate decides: the largest over the states `corners`, shape (k, n), the inputs `drives`, shape
     (k, m), and all branches of the kinks, of a bound on the eigenvalues of df/dx.
     """
-    n, q, switched, fastest = code[N], code[N_UNKNOWN], code[N_SWITCHES], 0.0
-    work, slopes = work_for(code, vector), np.empty(n * (q + 1 + n + code[N_INPUTS]))
+    n = code[N]
+    q = code[N_UNKNOWN]
+    switched = code[N_SWITCHES]
+    fastest = 0.0
+    work = work_for(code, vector)
+    slopes = np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
         for given in range(drives.shape[0]):
             for branch in range(2 ** min(switched, MAX_SWITCHES)):

@@ -56,14 +56,16 @@ def law_step(
     `references` has a row for each sample. A call with arrays takes several times as long as a PID does,
     since each is counted; loops over samples treat PID and GIVEN themselves.
     """
-    q, m = z.size, u.size
+    q = z.size
+    m = u.size
     if law[KIND] == PID:
         u[0], after[0], after[1] = pid_step(law, references[k, 0], y[0], z[0], z[1])
     elif law[KIND] == GIVEN:
         for i in range(m):
             u[i] = references[k, i]
     elif law[KIND] == TWO_LEVEL:
-        on, since = z[0] > 0.0, z[1] + law[PERIOD]
+        on = z[0] > 0.0
+        since = z[1] + law[PERIOD]
         wanted = (y[0] <= references[k, 0] + law[ABOVE]) if on else (y[0] < references[k, 0] - law[BELOW])
         due = since >= (law[MIN_ON] if on else law[MIN_OFF])
         switched = (due and wanted != on) or (on and since >= law[MAX_ON])
@@ -72,7 +74,8 @@ def law_step(
         after[2] = y[0]
         u[0] = law[HIGH] if after[0] > 0.0 else law[LOW]
     else:
-        p, r = y.size, references.shape[1]
+        p = y.size
+        r = references.shape[1]
         width = q + p + r + 1 + m
         for i in range(m + q):
             row = LOW + 2 * m + i * width
@@ -100,7 +103,9 @@ def law_tangents(
 ) -> None:
     """Derivatives of the commands, and of the law's state after a sample, in place, by n unknowns: `dy` are
     those of the readings, `slopes` the result of `law_slopes`, and `moved` is room of the size of dz."""
-    q, m, p = dz.shape[0], du.shape[0], dy.shape[0]
+    q = dz.shape[0]
+    m = du.shape[0]
+    p = dy.shape[0]
     for i in range(m + q):
         for j in range(n):
             total = 0.0
@@ -139,7 +144,9 @@ def law_slopes(
     Two levels switch at the moment when the reading crosses its limit, as if the command were in force from
     then on: a reading that is higher by dy crosses earlier by dy/ẏ.
     """
-    q, m, p = z.size, u.size, y.size
+    q = z.size
+    m = u.size
+    p = y.size
     for i in range(m + q):
         for j in range(q + p):
             slopes[i, j] = 0.0
@@ -180,7 +187,10 @@ def gain_slopes(
 ) -> None:  # fmt: skip
     """Derivatives of commands and next state, shape (m + q, t), by the gains at the places `tuned` of the
     law, shape (t,)."""
-    q, m, p, r = z.size, u.size, y.size, references.shape[1]
+    q = z.size
+    m = u.size
+    p = y.size
+    r = references.shape[1]
     slopes[:] = 0.0
     for t in range(tuned.size):
         place = tuned[t]
@@ -208,7 +218,8 @@ def gain_slopes(
                 slopes[0, t], slopes[2, t] = (u[0] - before) / moved, law[PERIOD] / moved
         elif law[KIND] == LINEAR:
             width = q + p + r + 1 + m
-            row, column = (place - LOW - 2 * m) // width, (place - LOW - 2 * m) % width
+            row = (place - LOW - 2 * m) // width
+            column = (place - LOW - 2 * m) % width
             value = 1.0
             if column < q:
                 value = z[column]
@@ -231,7 +242,9 @@ def commands_of(
 ) -> tuple[FloatArray, FloatArray]:
     """Commands, shape (N, m), of a law for set-points, shape (N, r), and readings, shape (N, p), from a state
     on; and its state after them, shape (q,)."""
-    u, at, after = np.zeros((len(references), int(law[N_COMMANDS]))), z.copy(), z.copy()
+    u = np.zeros((len(references), int(law[N_COMMANDS])))
+    at = z.copy()
+    after = z.copy()
     for k in range(len(references)):
         law_step(law, at, references, k, readings[k], u[k], after)
         copy_into(after, at)

@@ -68,7 +68,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
             inputs than of outputs.
     """
     model = parameters.model
-    row, drives, y = model.disturbance_row(disturbances), model.plant.drives, model.row_of("outputs", output)
+    row = model.disturbance_row(disturbances)
+    drives = model.plant.drives
+    y = model.row_of("outputs", output)
     if len(drives) != y.size:
         raise PlantError(
             f"{model.title}: it has {len(drives)} inputs and {y.size} outputs; only as many inputs as "
@@ -77,7 +79,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
     states, _, _ = model.kernels.begin(parameters.vector, y, model.rest, row)
     low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
     least, most = np.array([drive.limits for drive in drives.values()], dtype=np.float64).T
-    scales, n, u = np.append(high - low, most - least), states.size, model.rest
+    scales = np.append(high - low, most - least)
+    n = states.size
+    u = model.rest
     for _ in range(MAX_STEPS):
         f, fx, fu, _, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
         off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - y
@@ -130,16 +134,21 @@ def linearised_at(
         PlantError: the plant is too fast for the period.
     """
     model = parameters.model
-    row, n = model.disturbance_row(disturbances), states.size
+    row = model.disturbance_row(disturbances)
+    n = states.size
     u = model.row_of("inputs", input)
     slopes = model.kernels.predict(
         parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period),
         parameters.steps(period), np.zeros((2, 0), dtype=np.int64),
     )  # fmt: skip
     *_, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
-    A, B, m = slopes[:, :n].copy(), slopes[:, n:].copy(), u.size
+    A = slopes[:, :n].copy()
+    B = slopes[:, n:].copy()
+    m = u.size
     if hu.any():
         # What acts at once is read before the next command: the inputs of the sample before are states.
-        A, B = np.block([[A, np.zeros((n, m))], [np.zeros((m, n + m))]]), np.vstack([B, np.eye(m)])
-        hx, states = np.hstack([hx, hu]), np.append(states, u)
+        A = np.block([[A, np.zeros((n, m))], [np.zeros((m, n + m))]])
+        B = np.vstack([B, np.eye(m)])
+        hx = np.hstack([hx, hu])
+        states = np.append(states, u)
     return Linear(A, B, hx, period, Rest(states, u))

@@ -161,7 +161,8 @@ class PidGains(Law):
         limited; if it was, the integral is updated by the back-calculation, which forgets by the factor
         1 − Kb·Ts each sample.
         """
-        error, command = float(reference[0] - output[0]), float(u[0])
+        error = float(reference[0] - output[0])
+        command = float(u[0])
         moved = -float(output[0]) if self.on_measurement else error
         consistent = _consistent_integral(self, error, moved - float(state[1]), command)
         before = float(state[0]) if self.saturates(command) else consistent
@@ -352,7 +353,9 @@ class LinearLaw(Law):
             object.__setattr__(self, each.name, np.array(getattr(self, each.name), dtype=np.float64))
         if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
             raise PlantError("linear law: C, D and E must be matrices with a row for each command")
-        (m, q), p, r = self.C.shape, self.D.shape[1], self.E.shape[1]
+        m, q = self.C.shape
+        p = self.D.shape[1]
+        r = self.E.shape[1]
         shapes = {
             "A": (q, q), "B": (q, p), "D": (m, p), "E": (m, r), "F": (q, r), "G": (q, m), "offset": (m,),
             "shift": (q,), "low": (m,), "high": (m,),
@@ -376,8 +379,12 @@ class LinearLaw(Law):
     @property
     def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of the other laws)
         """Places of the entries of its matrices in its `code`, by names such as "D[0,1]"."""
-        (m, q), p, r = self.C.shape, self.D.shape[1], self.E.shape[1]
-        width, begin, places = q + p + r + 1 + m, LOW + 2 * m, {}
+        m, q = self.C.shape
+        p = self.D.shape[1]
+        r = self.E.shape[1]
+        width = q + p + r + 1 + m
+        begin = LOW + 2 * m
+        places = {}
         for row, first, names in ((0, m, "CDE"), (m, q, "ABF")):
             for name, column, count in zip(names, (0, q, q + p), (q, p, r), strict=True):
                 for i in range(first):
@@ -420,16 +427,21 @@ class LinearLaw(Law):
         """Its state after the window's second sample, shape (q,): the one with which it gives the recorded
         commands, as far as they are within the limits; of several, the smallest."""
         q = self.n_states
-        y, r, u = window.outputs, window.references, window.inputs
+        y = window.outputs
+        r = window.references
+        u = window.inputs
         known = y @ self.B.T + r @ self.F.T + u @ self.G.T + self.shift
         expected = u - y @ self.D.T - r @ self.E.T - self.offset
         free = (u > self.low) & (u < self.high)
-        at, power = np.zeros(q), np.eye(q)
-        rows, left = [], []
+        at = np.zeros(q)
+        power = np.eye(q)
+        rows = []
+        left = []
         for k in range(2, len(window)):
             rows.append((self.C @ power)[free[k]])
             left.append((expected[k] - self.C @ at)[free[k]])
-            at, power = self.A @ at + known[k], self.A @ power
+            at = self.A @ at + known[k]
+            power = self.A @ power
             if len(rows) >= 4 * q + 2:
                 break
         state: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]

@@ -36,7 +36,8 @@ _OPERATIONS: Final[dict[type[ast.operator], tuple[Callable[..., float], Callable
     ast.Mult: (operator.mul, ir.IRBuilder.fmul),
     ast.Div: (operator.truediv, ir.IRBuilder.fdiv),
 }
-_DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
+_DOUBLE = ir.DoubleType()
+_INT = ir.IntType(64)
 _POINTER = _DOUBLE.as_pointer()
 _PLAIN = ir.FunctionType(ir.VoidType(), [_POINTER] * 6)
 _STEP = ir.FunctionType(ir.VoidType(), [_POINTER] * 6 + [_DOUBLE])
@@ -126,7 +127,9 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     """
     function = _Function(module, "tangents", _TANGENTS, f)
     builder = function.builder
-    n, m, q = f.n_states, f.n_inputs, f.n_unknown
+    n = f.n_states
+    m = f.n_inputs
+    q = f.n_unknown
     columns, du, which, first, size = function.llvm.args[7:]
     by: list[list[Any]] = []
     begun = _named("b", function.switches({}))
@@ -147,7 +150,8 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
         builder.store(value, builder.gep(by_unknown, [_int(place)]))
     x_slopes = [stage[n * q + n : n * q + n + n * n] for stage in by]
     u_slopes = [stage[n * q + n + n * n :] for stage in by]
-    h, half = function.h, builder.fmul(_number(0.5), function.h)
+    h = function.h
+    half = builder.fmul(_number(0.5), function.h)
     sixth = builder.fdiv(h, _number(6.0))
 
     def rate(i: int, stage: int, at: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
@@ -215,7 +219,8 @@ class _Function:
 
     def switches(self, values: Values) -> list[Any]:
         """The switches in order: a condition may use earlier ones."""
-        known, states = dict(values), []
+        known = dict(values)
+        states = []
         for i, tree in enumerate(self._formulas.switches.results):
             on = self.builder.fcmp_ordered(">", self._evaluate(tree, known), _number(0.0))
             states.append(self.builder.select(on, _number(1.0), _number(0.0)))
@@ -233,10 +238,12 @@ class _Function:
 
     def runge_kutta(self, rates: Callable[[Values], list[Any]]) -> tuple[list[list[Any]], list[Any]]:
         """The states at the four stages of a step, and after it."""
-        n, builder = self._formulas.n_states, self.builder
+        n = self._formulas.n_states
+        builder = self.builder
         begun = [self.value(f"x{i}") for i in range(n)]
         half = builder.fmul(_number(0.5), self.h)
-        at, slopes = [begun], []
+        at = [begun]
+        slopes = []
         for length in (half, half, self.h, None):
             slopes.append(rates(_named("x", at[-1])))
             if length is not None:
@@ -250,7 +257,8 @@ class _Function:
 
     def combined(self, begun: Sequence[Any], slopes: Sequence[Sequence[Any]], sixth: Any) -> list[Any]:
         """Values after a Runge–Kutta step with the slopes of its stages."""
-        b, ends = self.builder, []
+        b = self.builder
+        ends = []
         for x, k1, k2, k3, k4 in zip(begun, *slopes, strict=True):
             total = b.fadd(b.fadd(k1, b.fmul(_number(2.0), k2)), b.fmul(_number(2.0), k3))
             ends.append(b.fadd(x, b.fmul(sixth, b.fadd(total, k4))))
@@ -311,7 +319,9 @@ class _Function:
         b = self.builder
         if not (isinstance(exponent, ir.Constant) and float(exponent.constant).is_integer()):
             return self._call("pow", [base, exponent])
-        left, result, value = abs(int(exponent.constant)), None, base
+        left = abs(int(exponent.constant))
+        result = None
+        value = base
         while left:
             if left & 1:
                 result = value if result is None else b.fmul(result, value)

@@ -38,7 +38,8 @@ def rest_of(parameters: Parameters) -> tuple[FloatArray, FloatArray]:
     try:
         states, inputs = rest_at(parameters, levels)
     except PlantError:
-        states, inputs = begin(parameters, levels), model.rest
+        states = begin(parameters, levels)
+        inputs = model.rest
     return states, inputs
 
 
@@ -89,7 +90,8 @@ class ExpectedMovement:
         """Take the inputs of a sample, shape (m,); return the deviation of the outputs, shape (o,)."""
         if self._from is None:
             self._from = inputs
-        moved, of = inputs - self._from, self._effect
+        moved = inputs - self._from
+        of = self._effect
         deviation = of.C @ self._states + of.D @ moved
         self._states = of.A @ self._states + of.B @ moved
         return np.asarray(deviation)

@@ -74,7 +74,8 @@ class Observer:
             period.
         """
         model = parameters.model
-        self._title, self._model = model.title, model
+        self._title = model.title
+        self._model = model
         random_walks = random_walks or {}
         self.estimated = tuple(random_walks)
         """Names of the estimated parameters, in the order of the joint covariance."""
@@ -83,7 +84,8 @@ class Observer:
             msg = f"{model.title}: {unknown[0]!r} cannot be estimated; choose from {', '.join(model.names)}"
             raise PlantError(msg)
         self._kernels = model.kernels_by(self.estimated)
-        n, m = len(model.states), len(random_walks)
+        n = len(model.states)
+        m = len(random_walks)
         among = (self._kernels.UNKNOWN, model.names)
         self._which = np.array(
             [[names.index(name) for name in random_walks] for names in among], dtype=np.int64
@@ -94,7 +96,8 @@ class Observer:
         self._factor = np.ones(int(adaptive))
         if not limit > 0:
             raise PlantError(f"{model.title}: the observer's limit is {limit}; it must be positive")
-        self._limit, self._noise = float(limit), model.noise
+        self._limit = float(limit)
+        self._noise = model.noise
         self._row = model.disturbance_row(disturbances)
         if states is None:
             if output is None:
@@ -123,7 +126,8 @@ class Observer:
         if parameters.model is not self._model:
             msg = f"{self._title}: parameters of {parameters.model.title} given; make a new observer"
             raise PlantError(msg)
-        self._parameters, self._vector = parameters, parameters.vector.copy()
+        self._parameters = parameters
+        self._vector = parameters.vector.copy()
         self._steps = parameters.steps(self._period)
         spans = [self._model.declared[name].bounds for name in self.estimated]
         values = self._vector[self._which[1]]
@@ -197,7 +201,8 @@ class Observer:
     def _first_covariance(
         self, start: ArrayLike | None, covariance: ArrayLike | None, estimated: list[float]
     ) -> FloatArray:
-        n, m = self._states.size, len(estimated)
+        n = self._states.size
+        m = len(estimated)
         if (start is None) == (covariance is None):
             msg = f"{self._title}: give an observer's start (standard deviations) or its covariance, not both"
             raise PlantError(msg)
@@ -237,18 +242,27 @@ class ObserverBank:
         self._sizes = np.array([(o._states.size, o._vector.size) for o in observers], dtype=np.int64)
         self._codes = np.stack([o._kernels.code for o in observers])
         self._steps = np.array([o._steps for o in observers], dtype=np.int64)
-        count, (most, longest) = len(observers), self._sizes.max(axis=0)
-        self._states, self._noises = np.zeros((count, most)), np.zeros((count, most))
-        self._vectors, self._joints = np.zeros((count, longest)), np.zeros((count, most * most))
+        count = len(observers)
+        most, longest = self._sizes.max(axis=0)
+        self._states = np.zeros((count, most))
+        self._noises = np.zeros((count, most))
+        self._vectors = np.zeros((count, longest))
+        self._joints = np.zeros((count, most * most))
         self._rows = np.stack([o._row for o in observers])
         self._factors = np.zeros((count, first._factor.size))
         for i, o in enumerate(observers):
             n, m = self._sizes[i]
-            states, joint = self._states[i, :n], self._joints[i, : n * n].reshape(n, n)
-            states[:], joint[:], self._noises[i, :n] = o._states, o._joint, o._process_noise
+            states = self._states[i, :n]
+            joint = self._joints[i, : n * n].reshape(n, n)
+            states[:] = o._states
+            joint[:] = o._joint
+            self._noises[i, :n] = o._process_noise
             self._vectors[i, :m], self._factors[i] = o._vector, o._factor
-            o._states, o._joint, o._row = states, joint, self._rows[i]
-            o._process_noise, o._factor = self._noises[i, :n], self._factors[i]
+            o._states = states
+            o._joint = joint
+            o._row = self._rows[i]
+            o._process_noise = self._noises[i, :n]
+            o._factor = self._factors[i]
 
     def push(
         self, inputs: ArrayLike, outputs: ArrayLike, seen: ArrayLike = (True,),
@@ -263,7 +277,8 @@ class ObserverBank:
             Of each observer, how many samples it took: fewer than N if its equations had no finite value at
             the next; then nothing of it is of use.
         """
-        model, among = self._model, self._same[1].size
+        model = self._model
+        among = self._same[1].size
         u = signal_rows(model.title, "input", inputs, model.rest.size)
         y = np.array(outputs, dtype=np.float64).reshape(len(u), among)
         still = np.tile(model.rest, (len(u), 1))

@@ -112,7 +112,8 @@ def channels(plant: type[Plant]) -> tuple[type[Plant], ...]:
     for k in range(max(len(plant.outputs), len(plant.drives))):
         alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
         alone.channel_of = (plant, k)
-        alone.outputs, alone.drives = _one_of(plant.outputs, k), _one_of(plant.drives, k)
+        alone.outputs = _one_of(plant.outputs, k)
+        alone.drives = _one_of(plant.drives, k)
         found.append(alone)
     return tuple(found)
 

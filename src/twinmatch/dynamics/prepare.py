@@ -49,7 +49,8 @@ def _use(parameters: Parameters) -> None:
     The other kernels of linearisations are called by the observer, too.
     """
     model = parameters.model
-    law, rest = model.plant.loop, model.plant.drive.rest
+    law = model.plant.loop
+    rest = model.plant.drive.rest
     period = 1.0 if law is None else law.period
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)

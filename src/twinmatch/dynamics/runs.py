@@ -146,7 +146,8 @@ def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust:
     lost = left
     if robust:
         root = np.sqrt(1.0 + left)
-        square, lost = square / root, 2.0 * (root - 1.0)
+        square = square / root
+        lost = 2.0 * (root - 1.0)
     for i in range(n):
         scaled = square * rows[s, i]
         for j in range(i + 1):
@@ -168,10 +169,18 @@ def run(
     `references`, shape (N, r), are those of the law, `memory` its state; `noise`, shape (N, o), is added to
     the readings.
     """
-    size, outputs = disturbances.shape[0], noise.shape[1]
-    y, u, states = np.empty((size, outputs)), np.empty((size, code[N_INPUTS])), np.empty((size + 1, x.size))
-    work, at, z, after = work_for(code, vector), x.copy(), memory.copy(), memory.copy()
-    last, now, kind = np.zeros(outputs), np.zeros(code[N_INPUTS]), law[KIND]
+    size = disturbances.shape[0]
+    outputs = noise.shape[1]
+    y = np.empty((size, outputs))
+    u = np.empty((size, code[N_INPUTS]))
+    states = np.empty((size + 1, x.size))
+    work = work_for(code, vector)
+    at = x.copy()
+    z = memory.copy()
+    after = memory.copy()
+    last = np.zeros(outputs)
+    now = np.zeros(code[N_INPUTS])
+    kind = law[KIND]
     d = np.empty(disturbances.shape[1])
     for k in range(size):
         for i in range(d.size):  # no view of a row: each is counted
@@ -203,7 +212,8 @@ def _output_tangents(
     shown: FloatArray, which: NDArray[np.int64], columns: FloatArray, dy: FloatArray, n: int, unknown: int
 ) -> None:
     """Derivatives of the outputs by n unknowns, from those of the states and, in `shown`, of the outputs."""
-    outputs, nx = dy.shape[0], columns.shape[0]
+    outputs = dy.shape[0]
+    nx = columns.shape[0]
     for o in range(outputs):
         for j in range(n):
             slope = shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
@@ -231,7 +241,9 @@ def _store(
     slopes: FloatArray, shown: FloatArray, columns: FloatArray, n: int,
 ) -> None:  # fmt: skip
     """Store what is known of sample k before its tick, whose derivatives by states and inputs begin."""
-    outputs, inputs, nx = y.size, u.size, columns.shape[0]
+    outputs = y.size
+    inputs = u.size
+    nx = columns.shape[0]
     for i in range(slopes.shape[0]):
         for j in range(slopes.shape[1]):
             stored.around[k, i, j] = slopes[i, j]
@@ -263,25 +275,42 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     """
     vector, law, x, columns, steps = start
     which, tuned, memory, references, disturbances, measured, weights, robust, period = data
-    size, (nx, n), q = disturbances.shape[0], columns.shape, memory.size
-    inputs, outputs, unknown, kind = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN], law[KIND]
-    compared, kept = inputs if kind != GIVEN else 0, size if stored else 0
+    size = disturbances.shape[0]
+    nx, n = columns.shape
+    q = memory.size
+    inputs = code[N_INPUTS]
+    outputs = code[N_OUTPUTS]
+    unknown = code[N_UNKNOWN]
+    kind = law[KIND]
+    compared = inputs if kind != GIVEN else 0
+    kept = size if stored else 0
     width = n + (nx + inputs if stored else 0)
     tangents = Tangents(
         np.empty((kept, outputs)), np.empty((kept, inputs)), np.zeros((outputs + inputs, kept, n)),
         np.empty((kept, nx, nx)), np.empty((kept, nx, inputs)), np.empty((kept, inputs + q, q + outputs)),
         np.empty((kept, outputs, nx)),
     )  # fmt: skip
-    by_state, by_input, normal = tangents.by_state, tangents.by_input, np.zeros((n + 1, n + 1))
-    dy, of_inputs = np.zeros((outputs, n + 1)), np.zeros((compared, n + 1))
-    dz, moved = np.zeros((q, n)), np.zeros((q, n))
-    all_columns, du = np.zeros((nx, width)), np.zeros((inputs, width))
+    by_state = tangents.by_state
+    by_input = tangents.by_input
+    normal = np.zeros((n + 1, n + 1))
+    dy = np.zeros((outputs, n + 1))
+    of_inputs = np.zeros((compared, n + 1))
+    dz = np.zeros((q, n))
+    moved = np.zeros((q, n))
+    all_columns = np.zeros((nx, width))
+    du = np.zeros((inputs, width))
     for i in range(nx):
         copy_into(columns[i], all_columns[i])
-    slopes, of_gains = np.zeros((inputs + q, q + outputs)), np.zeros((inputs + q, tuned.size))
-    at, u, z, after = x.copy(), np.zeros(inputs), memory.copy(), memory.copy()
-    work, d = work_for(code, vector), np.empty(disturbances.shape[1])
-    shown, y = work.shown, work.seen
+    slopes = np.zeros((inputs + q, q + outputs))
+    of_gains = np.zeros((inputs + q, tuned.size))
+    at = x.copy()
+    u = np.zeros(inputs)
+    z = memory.copy()
+    after = memory.copy()
+    work = work_for(code, vector)
+    d = np.empty(disturbances.shape[1])
+    shown = work.shown
+    y = work.seen
     for k in range(size):
         for i in range(d.size):
             d[i] = disturbances[k, i]
@@ -303,7 +332,8 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
             law_tangents(slopes, dy, dz, du, moved, n)
             if tuned.size:
                 gain_slopes(law, z, references, k, y, u, tuned, of_gains)
-                first, last = which.size, which.size + tuned.size
+                first = which.size
+                last = which.size + tuned.size
                 for i in range(inputs + q):
                     for j in range(first, last):
                         if i < inputs:
@@ -341,8 +371,10 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
 def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
     """The start of a run with these values of the unknowns."""
     data = problem.data
-    n, tuned = data.which.size, data.tuned.size
-    p, law = problem.base.copy(), problem.law.copy()
+    n = data.which.size
+    tuned = data.tuned.size
+    p = problem.base.copy()
+    law = problem.law.copy()
     for j in range(n):
         p[problem.places[j]] = values[j]
     for j in range(tuned):
@@ -376,7 +408,9 @@ def normal_at(
     if start.steps > MAX_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
     _, normal = run_with_tangents(code, start, problem.data, False, limit)
-    cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
+    cost = normal[n, n]
+    gradient = normal[n, :n].copy()
+    hessian = normal[:n, :n].copy()
     for j in range(n):
         if problem.pull[j] > 0.0:
             off = values[j] - problem.expected[j]

@@ -149,10 +149,8 @@ def begin(
         PlantError: a name in `starts` is not a state, or a value is not finite.
     """
     model = parameters.model
-    y, before = (
-        model.row_of("outputs", output),
-        model.row_of("inputs", model.rest if input is None else input),
-    )
+    y = model.row_of("outputs", output)
+    before = model.row_of("inputs", model.rest if input is None else input)
     row = model.disturbance_row(disturbances)
     states, _, _ = model.kernels.begin(parameters.vector, y, before, row)
     for name, value in (starts or {}).items():
@@ -196,7 +194,8 @@ def advance(
         PlantError: an input is not finite, the period invalid, or the plant too fast for it.
     """
     model = parameters.model
-    u, row = model.row_of("inputs", input), model.disturbance_row(disturbances)
+    u = model.row_of("inputs", input)
+    row = model.disturbance_row(disturbances)
     after = model.kernels.advance(parameters.vector, states, u, row, float(period), parameters.steps(period))
     return np.asarray(after, dtype=np.float64)
 
@@ -216,7 +215,8 @@ def advance_side_by_side(
         PlantError: as `advance`.
     """
     model = plants[0].model
-    u, row = model.row_of("inputs", input), model.disturbance_row(disturbances)
+    u = model.row_of("inputs", input)
+    row = model.disturbance_row(disturbances)
     vectors = np.array([plant.vector for plant in plants])
     steps = max(plant.steps(period) for plant in plants)
     after, outputs = model.kernels.advance_side_by_side(vectors, states, u, row, float(period), steps)
@@ -321,9 +321,15 @@ def simulate_window(
     loop = law_for(parameters.model.plant, window.period, law)
     states = begin_window(parameters, window, starts)
     seen = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
-    name, signal, state, period = "input", window.inputs, None, window.period
+    name = "input"
+    signal = window.inputs
+    state = None
+    period = window.period
     if loop is not None:
-        name, signal, state, period = "reference", window.references, loop.state(window), loop.period
+        name = "reference"
+        signal = window.references
+        state = loop.state(window)
+        period = loop.period
     disturbances = window.disturbances[SKIPPED:]
     return _run(parameters, name, signal[SKIPPED:], states, loop, state, disturbances, seen, period)
 
@@ -336,15 +342,19 @@ def _run(  # noqa: PLR0917 (what a run needs)
     """Simulate the loop on set-points or, without one, the plant under its inputs."""
     model = parameters.model
     references = signal_rows(model.title, name, signal, n_references(model.plant, loop))
-    size, measured = len(references), len(model.plant.outputs)
+    size = len(references)
+    measured = len(model.plant.outputs)
     code, memory = law_code(loop, controller)
-    noise, frozen, resolution = np.zeros((size, measured)), np.zeros(size, dtype=np.bool_), 0.0
+    noise = np.zeros((size, measured))
+    frozen = np.zeros(size, dtype=np.bool_)
+    resolution = 0.0
     if sensor is not None:
         if len(sensor) != size:
             msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
             raise PlantError(msg)
         noise[:] = sensor.noise if sensor.noise.ndim == 2 else sensor.noise[:, None]
-        frozen, resolution = np.array(sensor.frozen), float(sensor.resolution)
+        frozen = np.array(sensor.frozen)
+        resolution = float(sensor.resolution)
     steps = parameters.steps(period)
     outputs, inputs, passed = model.kernels.run(
         parameters.vector, np.array(states, dtype=np.float64), code, memory, references,

@@ -250,7 +250,10 @@ class DeadTime:
         if order not in _ORDERS:
             msg = f"plant: order {order!r} of a dead time ({text}); choose {_ORDERS[0]} to {_ORDERS[-1]}"
             raise PlantError(msg)
-        self.span, self.unit, self.text, self.order = span, unit, text, order
+        self.span = span
+        self.unit = unit
+        self.text = text
+        self.order = order
         self.name = ""
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -68,14 +68,16 @@ class Belief:
 
     def closed(self, index: int) -> Belief:
         """A copy with one of the numbers known to be zero."""
-        values, covariance = self.values.copy(), self.covariance.copy()
+        values = self.values.copy()
+        covariance = self.covariance.copy()
         values[index] = 0.0
         covariance[index, :] = covariance[:, index] = 0.0
         return Belief(values, covariance)
 
     def opened(self, index: int, shift: float, spread: float) -> Belief:
         """A copy with one of the numbers shifted, with a standard deviation `spread` of the shift."""
-        values, covariance = self.values.copy(), self.covariance.copy()
+        values = self.values.copy()
+        covariance = self.covariance.copy()
         values[index] += shift
         covariance[index, index] += spread**2
         return Belief(values, covariance)
@@ -105,7 +107,9 @@ class Assumed:
     def of(cls, parameters: Parameters, period: float) -> Assumed:
         """For a plant that begins with these parameters; `period` is the sample time, s."""
         model = parameters.model
-        free, declared, noise = model.structure.free, model.declared, model.noise
+        free = model.structure.free
+        declared = model.declared
+        noise = model.noise
         tracked = _tracked_parameters(parameters)
         scales = np.array(
             [1.0 if log else declared[k].scale for k, log in zip(free, tracked.logged, strict=True)]
@@ -119,7 +123,8 @@ class Assumed:
         shown = np.isfinite(seen)
         seen[~shown] = 0.0
         scale = slow_scale(model.plant, period)
-        push_time, fading = _PUSH_TIME * scale, _MODEL_ERROR[3] * noise / period
+        push_time = _PUSH_TIME * scale
+        fading = _MODEL_ERROR[3] * noise / period
         drift = np.where(shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * state_scales)
         return cls(
             free=tracked,
@@ -139,8 +144,10 @@ class Assumed:
 
 def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
     """The free parameters of a structure, positive ones without an upper bound as logarithms."""
-    free, declared = parameters.model.structure.free, parameters.model.declared
-    kernels, values = parameters.model.kernels, np.array([parameters[name] for name in free])
+    free = parameters.model.structure.free
+    declared = parameters.model.declared
+    kernels = parameters.model.kernels
+    values = np.array([parameters[name] for name in free])
     logged = np.array(
         [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free], bool
     )
@@ -170,7 +177,8 @@ class Tracker:
         free = model.structure.free
         self.parameters = parameters
         self.free = free
-        n, m = len(model.states), len(free)
+        n = len(model.states)
+        m = len(free)
         self.size = n + m + EXTRA
         self.at = {name: n + j for j, name in enumerate(free)}
         """Indices of the parameters in a belief."""
@@ -178,8 +186,11 @@ class Tracker:
             self.size + place for place in (SHARE, OFFSET, PASSING, FADING, PUSH, RATE)
         )
         assumed = Assumed.of(parameters, period)
-        self.logged, self._shown, self._first = assumed.free.logged, assumed.shown, assumed.first
-        keeps, drift = np.ones(self.size), np.zeros(self.size)
+        self.logged = assumed.free.logged
+        self._shown = assumed.shown
+        self._first = assumed.first
+        keeps = np.ones(self.size)
+        drift = np.zeros(self.size)
         keeps[self.fading], keeps[self.passing] = assumed.keeps
         drift[: n + m], drift[self.fading] = assumed.drift, assumed.stray[0]
         self._fading = float(assumed.fading[0])
@@ -209,7 +220,8 @@ class Tracker:
         """The belief after a gap: parameters are kept, states restart from a reading."""
         n = len(self.parameters.model.states)
         start = self.begin(output, input, disturbances, 0)
-        values, covariance = belief.values.copy(), belief.covariance.copy()
+        values = belief.values.copy()
+        covariance = belief.covariance.copy()
         values[:n] = np.where(self._shown, start.values[:n], values[:n])
         values[self.passing] = values[self.fading] = 0.0
         for i in (*range(n), self.passing):
@@ -221,7 +233,8 @@ class Tracker:
         """The belief about a plant whose parameters are what they were `before`; what passes is as it is now,
         and as uncertain as at the beginning, for what the equations leave out was moved, too."""
         passes = [*range(len(self.parameters.model.states)), self.passing, self.fading]
-        values, covariance = before.values.copy(), before.covariance.copy()
+        values = before.values.copy()
+        covariance = before.covariance.copy()
         values[passes], covariance[passes, :], covariance[:, passes] = belief.values[passes], 0.0, 0.0
         both = np.ix_(passes, passes)
         opened = np.diag(np.append(self._first[: len(passes) - 2], [0.0, self._fading]) ** 2)
@@ -246,14 +259,19 @@ class Tracker:
 
     def named(self, belief: Belief, name: str) -> float:
         """The believed value of a parameter."""
-        q, start = float(belief.values[self.at[name]]), self.parameters[name]
+        q = float(belief.values[self.at[name]])
+        start = self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q
 
     def expected(self, belief: Belief, disturbances: FloatArray, given: FloatArray) -> tuple[float, float]:
         """The reading that is expected next, under inputs given, and its variance without noise, in the
         output's unit."""
-        model, n, free = self.parameters.model, len(self.parameters.model.states), self._fixed.free
-        vector, x, driven = free.vector.copy(), belief.values[:n], given - model.rest
+        model = self.parameters.model
+        n = len(self.parameters.model.states)
+        free = self._fixed.free
+        vector = free.vector.copy()
+        x = belief.values[:n]
+        driven = given - model.rest
         u = model.rest + driven * (1.0 + belief.values[self.share])
         vector[free.places] = [self.named(belief, name) for name in self.free]
         output = model.kernels.outputs_at(vector, x, u, disturbances)[0][0]
@@ -291,22 +309,29 @@ class TrackedCourse:
             lasting: number of those samples.
             rising: index of the number that rises at the believed rate; negative: none.
         """
-        self._tracker, self._begin, self._level = tracker, belief, level
+        self._tracker = tracker
+        self._begin = belief
+        self._level = level
         self._opening = Opening(np.zeros(tracker.size) if opened is None else opened, lasting, rising)
-        self._belief, self._cost, self._done = belief, 0.0, 0
+        self._belief = belief
+        self._cost = 0.0
+        self._done = 0
 
     def to(self, readings: Readings, traces: Traces | None = None) -> tuple[Belief, float]:
         """The belief after all readings since the beginning, and their code length; see `Tracker.run`."""
         size = readings.input.size
         opening = self._opening._replace(lasting=self._opening.lasting - self._done)
-        values, covariance = self._belief.values.copy(), self._belief.covariance.copy()
+        values = self._belief.values.copy()
+        covariance = self._belief.covariance.copy()
         self._cost = self._tracker.track(
             values, covariance, self._tracker.drifts[self._level], readings.part(self._done, size), opening,
             traces or self._tracker.none, self._cost,
         )  # fmt: skip
-        self._belief, self._done = Belief(values, covariance), size
+        self._belief = Belief(values, covariance)
+        self._done = size
         if math.isfinite(self._cost) and math.isfinite(values.sum() + covariance.sum()):
             return self._belief, self._cost
-        output, row = readings.output[np.isfinite(readings.output)][-1], readings.disturbances[-1]
+        output = readings.output[np.isfinite(readings.output)][-1]
+        row = readings.disturbances[-1]
         again = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)
         return again, _IMPOSSIBLE * size

@@ -14,7 +14,8 @@ from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.runs import RunData, Start, Tangents, run, run_with_tangents
 from twinmatch.signals import FloatArray
 
-MEAN, BANDED = 1, 2
+MEAN = 1
+BANDED = 2
 """What is wanted of a plant's forecast."""
 
 
@@ -32,7 +33,8 @@ def foresee_each(
     """
     o = noise.size
     shape = (len(sizes), o + u.size, len(references))
-    means, variances = np.full(shape, np.nan), np.full(shape, np.nan)
+    means = np.full(shape, np.nan)
+    variances = np.full(shape, np.nan)
     for i in range(len(sizes)):
         if wanted[i] == 0:
             continue
@@ -61,9 +63,14 @@ def foresee(
     """Outputs, inputs and their variances; `x` and `joint` are those at the newest sample, and are changed;
     `noise` holds variances, shape (o,). Each sample's movement of a state is wrong by a share of it, with
     the standard deviation `swift`."""
-    size, n, k, m, d = len(references), x.size, which.shape[1], u.size, disturbances[1:]
+    size = len(references)
+    n = x.size
+    k = which.shape[1]
+    m = u.size
+    d = disturbances[1:]
     begun = advance(code, vector, x, u, disturbances[0], period, steps)
-    still, never = np.zeros((size, noise.size)), np.zeros(size, dtype=np.bool_)
+    still = np.zeros((size, noise.size))
+    never = np.zeros(size, dtype=np.bool_)
     # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
     # the rates, which then round differently.
     outputs, inputs, states = run(
@@ -101,10 +108,16 @@ def _variances(
     _, _, by, by_state, by_input, around, seen = loop
     size, outputs, nx = seen.shape
     inputs = by_input.shape[2]
-    both, m = joint.shape[0], nx + around.shape[1] - inputs
-    of_outputs, of_inputs = np.zeros((size, outputs)), np.zeros((size, inputs))
-    a, b, of_u = np.zeros((m, m)), np.zeros((m, outputs)), np.zeros((inputs, m))
-    later, way, of_y = np.zeros((m, m)), np.zeros((m, m)), np.zeros(m)
+    both = joint.shape[0]
+    m = nx + around.shape[1] - inputs
+    of_outputs = np.zeros((size, outputs))
+    of_inputs = np.zeros((size, inputs))
+    a = np.zeros((m, m))
+    b = np.zeros((m, outputs))
+    of_u = np.zeros((inputs, m))
+    later = np.zeros((m, m))
+    way = np.zeros((m, m))
+    of_y = np.zeros(m)
     first = np.zeros((both, both))  # in the order of `by`
     for i in range(both):
         for j in range(both):
@@ -162,13 +175,19 @@ def noise_effects(
     """
     _, _, _, by_state, by_input, around, seen = loop
     size, outputs, nx = seen.shape
-    n, inputs = weighed.shape[2], by_input.shape[2]
+    n = weighed.shape[2]
+    inputs = by_input.shape[2]
     m = nx + around.shape[1] - inputs
-    scores, squares = np.empty((size * outputs, n)), 0.0
-    a, all_b, of_u, b = np.zeros((m, m)), np.zeros((m, outputs)), np.zeros((inputs, m)), np.zeros(m)
+    scores = np.empty((size * outputs, n))
+    squares = 0.0
+    a = np.zeros((m, m))
+    all_b = np.zeros((m, outputs))
+    of_u = np.zeros((inputs, m))
+    b = np.zeros(m)
     compared = inputs if closed else 0
     for of in range(outputs):
-        ahead, power = np.zeros((m, n)), np.zeros((m, m))
+        ahead = np.zeros((m, n))
+        power = np.zeros((m, m))
         w = weights[of]
         for k in range(size - 1, -1, -1):
             _around_loop(around, seen, by_state, by_input, k, a, all_b, of_u)
@@ -238,7 +257,9 @@ def _around_loop(
 
     With v, the noise of the readings: u = of_u·z + around·v, next z = a·z + b·v.
     """
-    outputs, nx, inputs = seen.shape[1], seen.shape[2], by_input.shape[2]
+    outputs = seen.shape[1]
+    nx = seen.shape[2]
+    inputs = by_input.shape[2]
     q = around.shape[1] - inputs
     for i in range(inputs + q):
         for j in range(nx + q):
@@ -281,7 +302,8 @@ def _power_form(power: FloatArray, b: FloatArray) -> float:
 def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
     """aᵀ·power·a."""
     m = power.shape[0]
-    way, product = np.zeros((m, m)), np.zeros((m, m))
+    way = np.zeros((m, m))
+    product = np.zeros((m, m))
     for i in range(m):
         for j in range(m):
             for q in range(m):

@@ -300,7 +300,8 @@ class ArduinoModel:
             return Refusal(request.sequence, Code.LATCHED)
         self._remaining = DEADLINE_MS
         if not self.enabled:
-            self._settle, self._low = _SETTLE_MS, 0
+            self._settle = _SETTLE_MS
+            self._low = 0
             self._flags |= Flags.ENABLED
         self.level = request.pwm
         return self._status(request)

@@ -28,7 +28,8 @@ _MAX_HEARD = 256
 """Longest line, bytes; who sends a longer one is dropped."""
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
-_FIRST_PAUSE, _MAX_PAUSE = 0.1, 2.0
+_FIRST_PAUSE = 0.1
+_MAX_PAUSE = 2.0
 
 
 class ClockError(TwinmatchError):
@@ -67,9 +68,11 @@ class _ClockReader:
         if kind == b"image":
             self.image = int(number)
         elif kind in (b"drive", b"breathe", b"follow"):
-            self.drives, self.breathes = kind != b"follow", kind == b"breathe"
+            self.drives = kind != b"follow"
+            self.breathes = kind == b"breathe"
             self.until = int(number)
-        self.awaited, self.given_up = None, False
+        self.awaited = None
+        self.given_up = False
 
     def awaits(self, now: float) -> bool:
         """Note that the plant waits for it; whether it is still worth it."""
@@ -184,7 +187,8 @@ class ClockServer(LineServer):
 
     def limit(self, stamp: int) -> float:
         """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
-        now, lowest = time.monotonic(), math.inf
+        now = time.monotonic()
+        lowest = math.inf
         for reader in self._readers.values():
             if reader.until is None or (reader.until <= stamp and not reader.awaits(now)):
                 continue
@@ -275,7 +279,8 @@ class Stillness:
         """Take an update."""
         if self._last is not None and stamp < self._last:
             self.set_backs += 1
-        self._last, self._heard = stamp, time.monotonic()
+        self._last = stamp
+        self._heard = time.monotonic()
 
     def seconds(self) -> float:
         """Wall time for which it was silent, s; 0 up to the patience."""

@@ -69,7 +69,8 @@ class KitBoard:
             return
         for byte in heard:
             if byte in b"\r\n" or len(self._received) >= _LONGEST:
-                command, self._received = self._received, b""
+                command = self._received
+                self._received = b""
                 if command.strip():
                     self.say(self._obey(command.decode(errors="replace")).encode() + b"\r\n")
             else:
@@ -136,7 +137,8 @@ class VirtualKit(VirtualPlantTime):
         self._model.tlast = 0.0
         self._shown = {1: float(self._model.T1), 2: float(self._model.T2)}
         self.board = KitBoard(self.folder / "ttyACM0", self._reading)
-        self.board_kind, self.board_remark = "python", "the firmware's line protocol; the model is tclab's"
+        self.board_kind = "python"
+        self.board_remark = "the firmware's line protocol; the model is tclab's"
         stack.callback(self.board.unplug)
         return {"serial": self.board.port}
 

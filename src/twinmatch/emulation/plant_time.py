@@ -264,7 +264,8 @@ class VirtualPlantTime(ABC):
 
     def _send_clock(self, now: float) -> None:
         self._clock.send(self.stamp)
-        self._told, self._clock_sent = self.stamp, now
+        self._told = self.stamp
+        self._clock_sent = now
 
     def _require(self, fault: RigFault) -> RigFault:
         if fault.kind not in self.KINDS:
@@ -308,17 +309,21 @@ class RigPace:
         due = self._wall + (plant - self._plant) / self.speed
         late = math.inf if self._real else max(_MIN_LATE, _MAX_LATE / self.speed)
         if now - due > late:
-            self._wall, self._plant = now - late, plant
+            self._wall = now - late
+            self._plant = plant
         return max(0.0, due - now)
 
     def limit(self, speed: float, plant: float) -> None:
         """Continue at another speed from plant time `plant`, s."""
         if speed != self.speed:
-            self.speed, self._wall, self._plant = speed, time.monotonic(), plant
+            self.speed = speed
+            self._wall = time.monotonic()
+            self._plant = plant
 
     def achieved(self) -> float:
         """Recent plant time per wall time."""
-        (first_wall, first), (last_wall, last) = self._marks[0], self._marks[-1]
+        first_wall, first = self._marks[0]
+        last_wall, last = self._marks[-1]
         return (last - first) / (last_wall - first_wall) if last_wall > first_wall else 0.0
 
     def overall(self, plant: float) -> tuple[float, float]:

@@ -169,7 +169,8 @@ class VirtualCamera:
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 
     def _end_program(self) -> None:
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if process is None:
             return
         process.kill()

@@ -177,7 +177,8 @@ class VirtualRig(VirtualPlantTime):
         seconds = self.slice / 1000
         self._advance_board()
         self.plant.advance(self.drive, seconds)
-        before, self.ms = self.ms, self.ms + self.slice
+        before = self.ms
+        self.ms = self.ms + self.slice
         if self.ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
             self._board.set_current(self.plant.feedback(self.drive))
         seen = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)

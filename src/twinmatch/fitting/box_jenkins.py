@@ -43,7 +43,8 @@ Outcome = tuple[Place, bool, int]
 
 ROUTE = 50
 """Largest number of steps from a start; the search then continues from the best."""
-COARSE, FINE = 1e-6, 1e-11
+COARSE = 1e-6
+FINE = 1e-11
 """`Rules.settled` for the starts, and for the final search."""
 LOST = 1e-8
 """Share of the cost by which the two factorisations may differ before the search is repeated with QR."""
@@ -291,7 +292,8 @@ def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outc
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
         other, _, taken = descend(task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH)))
         if other.cost < best.cost:
-            best, steps = other, taken
+            best = other
+            steps = taken
     best, converged, taken = descend(task, best.theta, Rules(LAST, FINE))
     steps += taken
     polished, _, _ = descend(task, best.theta, Rules(0, FINE, exact=True))

@@ -108,7 +108,8 @@ def checked_pair(u: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     Raises:
         FittingError: as `checked_signal`, or the lengths differ.
     """
-    input_, output = checked_signal(u, "input u"), checked_signal(y, "output y")
+    input_ = checked_signal(u, "input u")
+    output = checked_signal(y, "output y")
     if input_.size != output.size:
         raise FittingError(f"input u has {input_.size} samples and output y {output.size}; give equally many")
     return input_, output

@@ -37,7 +37,8 @@ def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows
     for p in range(spans.shape[0]):
         for i in range(spans[p, COUNT]):
             at = start - spans[p, DELAY] - i
-            source, target = signals[spans[p, SIGNAL], at : at + count], rows[:count, column]
+            source = signals[spans[p, SIGNAL], at : at + count]
+            target = rows[:count, column]
             for t in range(count):
                 target[t] = source[t]
             column += 1
@@ -70,12 +71,15 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
         Normal matrix, shape (p, p); entries below the diagonal are undefined.
     """
     corners = corners_of(spans)
-    width, groups, high = corners[-1], spans.shape[0], signals.shape[1]
+    width = corners[-1]
+    groups = spans.shape[0]
+    high = signals.shape[1]
     leads = first_products(signals, low, spans, corners)
     G = np.zeros((width, width))
     for p in range(groups):
         for q in range(p, groups):
-            a, b = signals[spans[p, SIGNAL]], signals[spans[q, SIGNAL]]
+            a = signals[spans[p, SIGNAL]]
+            b = signals[spans[q, SIGNAL]]
             for i in range(spans[p, COUNT]):
                 da = spans[p, DELAY] + i
                 for j in range(i if p == q else 0, spans[q, COUNT]):
@@ -94,11 +98,13 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
 @compiled(inside=True)
 def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray[np.int64]) -> FloatArray:
     """Inner products of the first column of every group with all columns, shape (g, p)."""
-    groups, count = spans.shape[0], signals.shape[1] - low
+    groups = spans.shape[0]
+    count = signals.shape[1] - low
     leads = np.zeros((groups, corners[-1]))
     sums = np.empty(12)
     for p in range(0, groups, 3):
-        second, third = min(p + 1, groups - 1), min(p + 2, groups - 1)
+        second = min(p + 1, groups - 1)
+        third = min(p + 2, groups - 1)
         a = signals[spans[p, SIGNAL], low - spans[p, DELAY] :]
         b = signals[spans[second, SIGNAL], low - spans[second, DELAY] :]
         c = signals[spans[third, SIGNAL], low - spans[third, DELAY] :]
@@ -122,8 +128,13 @@ def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: Fl
     """
     a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = c0 = c1 = c2 = c3 = 0.0
     for t in range(a.size):
-        x0, x1, x2, x3 = x[t], x[t + 1], x[t + 2], x[t + 3]
-        by_a, by_b, by_c = a[t], b[t], c[t]
+        x0 = x[t]
+        x1 = x[t + 1]
+        x2 = x[t + 2]
+        x3 = x[t + 3]
+        by_a = a[t]
+        by_b = b[t]
+        by_c = c[t]
         a0 += by_a * x0
         a1 += by_a * x1
         a2 += by_a * x2
@@ -197,8 +208,14 @@ def add_rows(rows: FloatArray, count: int, k: int, work: FloatArray) -> None:
     """Add the rows behind column k to `work`, each times its entry there; four at a time, to read and write
     `work` less often."""
     for t in range(0, count - 3, 4):
-        r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
-        a0, a1, a2, a3 = r0[k], r1[k], r2[k], r3[k]
+        r0 = rows[t]
+        r1 = rows[t + 1]
+        r2 = rows[t + 2]
+        r3 = rows[t + 3]
+        a0 = r0[k]
+        a1 = r1[k]
+        a2 = r2[k]
+        a3 = r3[k]
         for j in range(k + 1, work.size):
             work[j] = (((work[j] + a0 * r0[j]) + a1 * r1[j]) + a2 * r2[j]) + a3 * r3[j]
     for t in range(count // 4 * 4, count):
@@ -210,8 +227,14 @@ def add_rows(rows: FloatArray, count: int, k: int, work: FloatArray) -> None:
 def take_from_rows(rows: FloatArray, count: int, k: int, work: FloatArray) -> None:
     """Subtract from each row, behind column k, its entry there times `work`."""
     for t in range(0, count - 3, 4):
-        r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
-        a0, a1, a2, a3 = r0[k], r1[k], r2[k], r3[k]
+        r0 = rows[t]
+        r1 = rows[t + 1]
+        r2 = rows[t + 2]
+        r3 = rows[t + 3]
+        a0 = r0[k]
+        a1 = r1[k]
+        a2 = r2[k]
+        a3 = r3[k]
         for j in range(k + 1, work.size):
             by = work[j]
             r0[j] -= a0 * by
@@ -294,7 +317,8 @@ def substitute_back(R: FloatArray) -> FloatArray:
 def solve_triangle(R: FloatArray) -> FloatArray:
     """The x that minimises the errors from the triangle of their derivatives and the error at x = 0."""
     size = R.shape[0] - 1
-    rhs, damping = np.empty(size), column_norms(R)
+    rhs = np.empty(size)
+    damping = column_norms(R)
     for i in range(size):
         rhs[i] = -R[i, size]
         damping[i] *= RIDGE

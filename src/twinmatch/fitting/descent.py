@@ -86,7 +86,8 @@ def diagonalise(gradient: FloatArray, hessian: FloatArray, basis: FloatArray) ->
 def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float]:
     """The damped step and its predicted gain; also downhill along axes of negative curvature."""
     gradient, curvatures, basis = quadratic
-    greatest, gain = 0.0, 0.0
+    greatest = 0.0
+    gain = 0.0
     for j in range(gradient.size):
         greatest = max(greatest, abs(curvatures[j]))
     floor = max(EPSILON * greatest, 1e-300)
@@ -103,9 +104,12 @@ def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float
 def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadratic:
     """The quadratic model of the cost at a place; at the stability boundary, in directions along it."""
     R = linearise(task, place, exact)
-    count, size = place.theta.size, R.shape[0] - 1
+    count = place.theta.size
+    size = R.shape[0] - 1
     linear = size - count
-    gradient, hessian, basis = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
+    gradient = np.zeros(count)
+    hessian = np.zeros((count, count))
+    basis = np.zeros((count, count))
     for k in range(count):
         row = R[linear + k, linear:]
         for i in range(k, count):
@@ -201,7 +205,9 @@ def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, i
     spare = np.zeros((ROWS, task.pad + task.u.size))
     place = evaluate(task, theta, used, rules.exact)
     floor = NOISE_FREE * dot(task.y, task.y)
-    damping, newton, idle = 1e-3, False, 0
+    damping = 1e-3
+    newton = False
+    idle = 0
     for iteration in range(rules.steps):
         if place.cost <= floor or theta.size == 0:
             return place, True, iteration

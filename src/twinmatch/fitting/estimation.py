@@ -24,9 +24,13 @@ over hundreds of samples, accurate to a relative 1e-14. The condition number is 
 QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
-_MAX_STEPS, _MAX_CUTS = 8, 3
-_MAX_REFITS, _MAX_OF_REFIT, _FIRST_SPAN = 16, 30, 0.1
-_FAR, _CUT = 2.0, 0.4
+_MAX_STEPS = 8
+_MAX_CUTS = 3
+_MAX_REFITS = 16
+_MAX_OF_REFIT = 30
+_FIRST_SPAN = 0.1
+_FAR = 2.0
+_CUT = 0.4
 _CLOSE = 0.02
 """Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
 
@@ -117,7 +121,8 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     sums, expected = problem.noise_scores(estimate.values)
     free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
-    known, pull = len(problem.free), problem.experiment.pull
+    known = len(problem.free)
+    pull = problem.experiment.pull
     scores[:known, :known] += np.diag(LASTING * pull)
     return _uncertainty_of(fisher, scores, problem.scales)
 
@@ -128,14 +133,16 @@ def _uncertainty_of(fisher: FloatArray, scores: FloatArray, scales: FloatArray) 
     eigenvalues = np.maximum(eigenvalues, 0.0)
     largest_components = directions[np.argmax(np.abs(directions), axis=0), np.arange(scales.size)]
     directions = directions * np.where(largest_components < 0.0, -1.0, 1.0)
-    smallest, largest = float(eigenvalues[0]), float(eigenvalues[-1])
+    smallest = float(eigenvalues[0])
+    largest = float(eigenvalues[-1])
     if smallest > _ROUNDING * largest:
         condition = float(np.sqrt(largest / smallest))
         inverse = np.linalg.inv(fisher * scaling) * scaling
         covariance = inverse @ scores @ inverse
         covariance = (covariance + covariance.T) / 2
     else:
-        condition, covariance = float("inf"), np.full_like(fisher, np.inf)
+        condition = float("inf")
+        covariance = np.full_like(fisher, np.inf)
     return Uncertainty(fisher, scores, scales, eigenvalues, directions, condition, covariance)
 
 
@@ -206,8 +213,11 @@ def _find_end(
     problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
 ) -> FloatArray | None:
     """Find the end between a value inside and one outside, refitting the others at each."""
-    near, below = inside.values, inside.cost - limit
-    far, beyond, ahead = bound, math.inf, 1.0
+    near = inside.values
+    below = inside.cost - limit
+    far = bound
+    beyond = math.inf
+    ahead = 1.0
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(near[i]))
     for _ in range(_MAX_REFITS):
         here = float(near[i])
@@ -215,21 +225,26 @@ def _find_end(
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
             target = here + (far - here) * min(max(below / (below - beyond), 0.1), 0.9)
         else:
-            target, span = here + span, 3.0 * span
+            target = here + span
+            span = 3.0 * span
             target = min(target, bound) if bound > here else max(target, bound)
-        lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.copy()
+        lower = problem.lower.copy()
+        upper = problem.upper.copy()
+        start = near.copy()
         lower[i] = upper[i] = start[i] = target
         found = problem.experiment.descend(start, lower, upper, problem.scales, _MAX_OF_REFIT)
         excess = found.cost - limit
         if abs(excess) <= _CLOSE * rise:
             return found.values
         if excess > 0.0:
-            far, beyond = target, excess
+            far = target
+            beyond = excess
             below, ahead = (0.5 * below, ahead) if ahead < 0.0 else (below, -1.0)
         else:
             if target == bound:
                 return None
-            near, below = found.values, excess
+            near = found.values
+            below = excess
             beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
     return near
 
@@ -246,7 +261,8 @@ def model_profile(
     cost: float,
 ) -> tuple[FloatArray, float]:
     """The step with component `i` of `way` whose others minimise the quadratic model, and the sum there."""
-    low, high = lower.copy(), upper.copy()
+    low = lower.copy()
+    high = upper.copy()
     low[i] = high[i] = values[i]
     step, gain = box_step(hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12)
     step[i] = way
@@ -267,7 +283,8 @@ def model_reach(
     limit: float,
 ) -> float:
     """Change of component `i` at which the quadratic model's convex profile reaches the limit."""
-    near, far = inside - values[i], bound - values[i]
+    near = inside - values[i]
+    far = bound - values[i]
     above = model_profile(hessian, gradient, values, lower, upper, i, far, cost)[1] - limit
     if above <= 0.0:
         return float(far)

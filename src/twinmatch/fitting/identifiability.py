@@ -32,7 +32,8 @@ _LEVELS = 8
 """Number of set-points considered, over the range that the plant declares for them."""
 _MIN_STEP = 0.5
 """Smallest suggested step, as a share of the distance between two of them."""
-_LEAD, _AFTER = 20, 240
+_LEAD = 20
+_AFTER = 240
 """Samples of the window kept before its last step, and samples simulated after the new one."""
 _MOVED = 20.0
 """Change of the set-point that counts as a step, in units of the output's noise."""
@@ -62,7 +63,8 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
         return ""
     scaling = np.outer(problem.scales, problem.scales)
     direction = np.linalg.eigh(fisher * scaling)[1][:, 0]
-    here, place = float(problem.window.reference[-1]), problem.names.index(name)
+    here = float(problem.window.reference[-1])
+    place = problem.names.index(name)
     output = problem.base.model.plant.output
     levels = np.linspace(*(output.set_points or output.span), _LEVELS)
     least = _MIN_STEP * (levels[1] - levels[0])
@@ -83,7 +85,8 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
 
 def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArray | None:
     """Scaled covariance from the next window; None if the output does not reach the set-point."""
-    window, noise = problem.window, problem.base.model.plant.output.noise
+    window = problem.window
+    noise = problem.base.model.plant.output.noise
     steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _MOVED * noise)
     first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
     kept = window.part(window.first + first, window.last)
@@ -147,7 +150,8 @@ def identify(
     intervals = profile_intervals(problem, found.values, known.covariance)
     widths = _widths(problem, intervals)
     believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
-    final, kept = found, ""
+    final = found
+    kept = ""
     if not stands(known, found.values):
         kept = _to_keep(problem, found.values, widths)
     if kept:
@@ -231,13 +235,15 @@ def _sentence_on(
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
     """The best known ratio of two parameters, if known far better than each alone."""
     places = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative and values[i] > 0.0]
-    best, text = math.inf, ""
+    best = math.inf
+    text = ""
     for i, j in combinations(places, 2):
         pair = [i, j]
         relative = covariance[np.ix_(pair, pair)] / np.outer(values[pair], values[pair])
         error = math.sqrt(max(relative[0, 0] + relative[1, 1] - 2.0 * relative[0, 1], 0.0))
         if error < best and _TIGHTER * error < math.sqrt(min(relative[0, 0], relative[1, 1])):
-            best, text = error, f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
+            best = error
+            text = f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
     return text
 
 

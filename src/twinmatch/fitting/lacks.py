@@ -162,7 +162,8 @@ def lack_of(
         independent: number of independent residuals.
         fit: fits a plant from a start; the parameters and what is left; None if it does not converge.
     """
-    best, each = None, math.log(max(independent, 2.0))
+    best = None
+    each = math.log(max(independent, 2.0))
     least = independent * math.log(max(left, 1.0)) / 2 - _SURE
     for grown in () if base.model.is_external else _plants_with_effects(base.model, period):
         found = fit(grown.model.parameters(**base))
@@ -172,7 +173,8 @@ def lack_of(
         charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
         if charge < least:
             said = _said(found[0], grown.model.structure.free[len(base.model.structure.free)])
-            least, what = charge, f"{grown.effect.title} of about {said}"
+            least = charge
+            what = f"{grown.effect.title} of about {said}"
             best = Lack(what, 1.0 - found[1] / left, _lines(base.model, grown))
     return best
 
@@ -192,7 +194,8 @@ def _plants_with_effects(model: Model, period: float) -> tuple[_Grown, ...]:
 
 def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, Any]]]:
     """Every effect at every place, with what its lines need."""
-    plant, slow = model.plant, time_constant(model.plant) or _UNKNOWN * period
+    plant = model.plant
+    slow = time_constant(model.plant) or _UNKNOWN * period
     written = written_equations(plant(), model.structure.parts)
     shown = outputs_of(plant(), written).values()
     times = {"usual": slow / 3, "few": 3 * period, "short": period, "slow": slow, "long": 100 * slow}
@@ -237,7 +240,8 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     Raises:
         TwinmatchError: the plant has one of its names already, or the equations cannot be used.
     """
-    plant, structure = model.plant, model.structure
+    plant = model.plant
+    structure = model.structure
     declared: dict[str, Any] = {}
     exec(effect.declared, dict(_NAMES), declared)  # noqa: S102 — lines of this module
     if taken := declared.keys() & vars(plant).keys():
@@ -251,7 +255,8 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
         return local["held"]
 
     free, hidden = ([n for n, v in declared.items() if isinstance(v, kind)] for kind in (Parameter, State))
-    first, times = free[0], (words["usual"] / 10, 10 * words["usual"])
+    first = free[0]
+    times = (words["usual"] / 10, 10 * words["usual"])
     richer = replace(
         structure,
         free=(*structure.free, *free),
@@ -265,7 +270,8 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
 
 
 def _said(found: Parameters, name: str) -> str:
-    value, unit = found[name], found.model.declared[name].unit
+    value = found[name]
+    unit = found.model.declared[name].unit
     if unit == "s":
         longer = ((86400, "d"), (3600, "h"), (60, "min"), (0, "s"))
         size, unit = next(one for one in longer if value >= 2 * one[0])
@@ -274,7 +280,8 @@ def _said(found: Parameters, name: str) -> str:
 
 
 def _lines(model: Model, grown: _Grown) -> tuple[str, ...]:
-    richer, part = grown.model.structure, grown.effect.title.removeprefix("a ")
+    richer = grown.model.structure
+    part = grown.effect.title.removeprefix("a ")
     starts = f", free_starts={richer.free_starts}" if richer.free_starts else ""
     wanted = f"Structure(free={richer.free}, parts=frozenset({sorted({*richer.parts, part})}){starts})"
     return (

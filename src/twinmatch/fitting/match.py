@@ -173,7 +173,8 @@ def match(
         FittingError: names or bounds are invalid, or the controller has another period.
         PlantError: a bound is not a possible value of the parameter.
     """
-    model, limits = start.model, limits or GateLimits()
+    model = start.model
+    limits = limits or GateLimits()
     law = checked_law(model, window, law)
     names = checked_free(model, free)
     problem = Problem(window, names, start, noise or Noise.of(model.plant), law, bounds, prior)
@@ -220,10 +221,13 @@ def usable_fit(window: Window, start: Parameters, noise: Noise, law: Law | None)
 
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
-    window, plant = problem.window, problem.base.model.plant
-    moved, what = window.references, "set-point"
+    window = problem.window
+    plant = problem.base.model.plant
+    moved = window.references
+    what = "set-point"
     if problem.law is None:
-        movement, what = ExpectedMovement(effect_of(plant, window.period)), "input"
+        movement = ExpectedMovement(effect_of(plant, window.period))
+        what = "input"
         moved = np.array([movement.take(row) for row in window.inputs])
     outputs = [*plant.outputs.values()][: moved.shape[1]]
     least = [_SHOWS * (y.least_step if min_step is None else min_step) for y in outputs]
@@ -280,7 +284,9 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
     held = split - (len(window) - problem.measured.shape[1])
     tested = problem.residuals(test.values)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
-    final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
+    final = found.estimate
+    known = found.known
+    fit = _fit(problem, found.estimate.residuals)
     free = [i for i, name in enumerate(problem.names) if name != found.kept]
     bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != found.kept)
     evidence = FitEvidence(

@@ -30,7 +30,8 @@ TOUCHING = 1e-8
 @compiled(inside=True)
 def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Filter x by a polynomial in q⁻¹ from rest into `out`, another array of its length."""
-    count, taps = x.size, numerator.size
+    count = x.size
+    taps = numerator.size
     if taps > TAPS or count < TAPS:
         for t in range(count):
             total = 0.0
@@ -46,8 +47,18 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
             total += c[i] * x[t - i]
         out[t] = total
     # Unrolled over slices, this fills the vector unit.
-    c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
-    x0, x1, x2, x3, x4, x5 = x[5:], x[4:], x[3:], x[2:], x[1:], x
+    c0 = c[0]
+    c1 = c[1]
+    c2 = c[2]
+    c3 = c[3]
+    c4 = c[4]
+    c5 = c[5]
+    x0 = x[5:]
+    x1 = x[4:]
+    x2 = x[3:]
+    x3 = x[2:]
+    x4 = x[1:]
+    x5 = x
     rest = out[5:]
     for t in range(rest.size):
         rest[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
@@ -66,7 +77,11 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
         return
     a = np.zeros(TAPS)
     copy_into(denominator, a)
-    a1, a2, a3, a4, a5 = a[1], a[2], a[3], a[4], a[5]
+    a1 = a[1]
+    a2 = a[2]
+    a3 = a[3]
+    a4 = a[4]
+    a5 = a[5]
     o1 = o2 = o3 = o4 = o5 = 0.0
     for start in range(0, x.size, REACH):
         if abs(o1) + abs(o2) + abs(o3) + abs(o4) + abs(o5) < VANISHED:
@@ -74,7 +89,11 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
         for t in range(start, min(start + REACH, x.size)):  # the newest output last: a short dependency
             total = (x[t] - (a5 * o5 + a4 * o4)) - (a3 * o3 + a2 * o2) - a1 * o1
             out[t] = total
-            o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
+            o5 = o4
+            o4 = o3
+            o3 = o2
+            o2 = o1
+            o1 = total
 
 
 @compiled

@@ -67,7 +67,9 @@ class Polynomials(NamedTuple):
 @compiled
 def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
     """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
-    rest, driven, e = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    rest = np.empty(y.size)
+    driven = np.empty(y.size)
+    e = np.empty(y.size)
     fir_into(model.F, y, rest)
     fir_into(model.B, u, driven)
     for t in range(y.size):
@@ -171,7 +173,9 @@ def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) ->
     `exact` the coefficients are computed by QR instead of normal equations.
     """
     nb, nc, nd, nf, nk = task.counts
-    C, D, F = np.ones(1 + nc), np.ones(1 + nd), np.ones(1 + nf)
+    C = np.ones(1 + nc)
+    D = np.ones(1 + nd)
+    F = np.ones(1 + nf)
     copy_into(theta[:nc], C[1:])
     copy_into(theta[nc : nc + nd], D[1:])
     copy_into(theta[nc + nd :], F[1:])
@@ -195,7 +199,9 @@ def project(
 ) -> tuple[FloatArray, FloatArray]:
     """The best x = (b, m) for given C, D, F, and its errors e; B of the model is not used."""
     pad = task.pad
-    by_b, by_m, at_zero = signals[BY_B, pad:], signals[BY_M, pad:], signals[AT_ZERO, pad:]
+    by_b = signals[BY_B, pad:]
+    by_m = signals[BY_M, pad:]
+    at_zero = signals[AT_ZERO, pad:]
     fir_into(model.D, task.u, by_b)
     all_pole_into(model.C, by_b, by_b)
     all_pole_into(model.F, by_b, by_b)
@@ -218,7 +224,8 @@ def project(
     for group in (BY_B, BY_M):
         for i in range(spans[group, COUNT]):
             at = pad - spans[group, DELAY] - i
-            factor, delayed = x[column], signals[group, at : at + e.size]
+            factor = x[column]
+            delayed = signals[group, at : at + e.size]
             for t in range(e.size):
                 e[t] += factor * delayed[t]
             column += 1
@@ -257,8 +264,13 @@ def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
 
     Fills the signals from `BY_C` to `ERROR`; the others are those set by `evaluate`.
     """
-    model, e, signals, pad = place.model, place.errors, place.signals, task.pad
-    by_c, by_d, by_f = signals[BY_C, pad:], signals[BY_D, pad:], signals[BY_F, pad:]
+    model = place.model
+    e = place.errors
+    signals = place.signals
+    pad = task.pad
+    by_c = signals[BY_C, pad:]
+    by_d = signals[BY_D, pad:]
+    by_f = signals[BY_F, pad:]
     at_zero = signals[AT_ZERO, pad:]
     driven = np.empty(e.size)
     fir_into(model.B, task.u, driven)
@@ -284,7 +296,10 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     Signals are those set by `linearise`, R is the triangle. Every ∂²e is one signal filtered once more by 1/C
     or 1/F and delayed by both delays; in the sum over e that filter is moved onto e, backwards in time.
     """
-    model, signals, pad, spans = place.model, place.signals, task.pad, task.spans
+    model = place.model
+    signals = place.signals
+    pad = task.pad
+    spans = task.spans
     driven = signals[OF_INPUT, pad:]
     all_pole_into(model.C, task.u, driven)
     all_pole_into(model.F, driven, driven)
@@ -296,10 +311,13 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     corners = corners_of(spans)
     S = np.zeros((corners[ERROR], corners[ERROR]))
     for second in SECOND_DERIVATIVES:
-        one, other, filtered = second.one, second.other, errors[second.error]
+        one = second.one
+        other = second.other
+        filtered = errors[second.error]
         for i in range(spans[one, COUNT]):
             for j in range(spans[other, COUNT]):
-                row, column = corners[one] + i, corners[other] + j
+                row = corners[one] + i
+                column = corners[other] + j
                 if i == 0 or j == spans[other, COUNT] - 1:
                     delayed = pad - spans[one, DELAY] - spans[other, DELAY] - i - j
                     S[row, column] = second.factor * dot(filtered, signals[second.signal, delayed:])

@@ -304,7 +304,8 @@ class Problem:
     def noise_scores(self, values: FloatArray) -> tuple[FloatArray, float]:
         """Jᵀ times the residuals caused by the nominal noise of each reading alone, shape ((N − 2)·o, n), and
         the mean squared residual caused by all of it."""
-        tangents, noise = self.experiment.tangents(values), self.noise.all
+        tangents = self.experiment.tangents(values)
+        noise = self.noise.all
         by = tangents.by * self.seen[:, None] * -(1.0 / noise)[:, None, None]
         return noise_scores(self.experiment, tangents, by, noise[: tangents.outputs.shape[1], None] / noise)
 

@@ -98,7 +98,8 @@ def monic(coefficients: FloatArray) -> FloatArray:
 @compiled(inside=True)
 def long_arx(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
     """The denominator A of a long ARX model: 1/A is close to the noise filter C/D."""
-    length, delay = min(LONG, u.size // 8), counts[4]
+    length = min(LONG, u.size // 8)
+    delay = counts[4]
     pad = length + delay + SLACK
     spans = np.array(((0, 1, length), (1, delay, length), (0, 0, 1)))
     return monic(regression(padded(pad, y, u), pad + length + delay, spans)[:length])
@@ -130,7 +131,8 @@ def steiglitz_mcbride(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -
     signals = np.zeros((3, pad + u.size))
     for _ in range(ROUNDS):
         through_pole(F, u, y, signals[:, pad:])
-        previous, F = F, stabilise(monic(regression(signals, pad, spans)[:nf]), LARGEST_ROOT, 1.0)
+        previous = F
+        F = stabilise(monic(regression(signals, pad, spans)[:nf]), LARGEST_ROOT, 1.0)
         change = 0.0
         for i in range(nf):
             change = max(change, abs(F[1 + i] - previous[1 + i]))
@@ -162,7 +164,8 @@ def noise_model(
     copy_into(y, signals[0, pad:])
     spans = np.array(((1, nk, nb), (2, 0, states), (0, 0, 1)))
     coefficients = regression(signals, pad, spans)
-    B, one = np.zeros(nk + nb), np.ones(1)
+    B = np.zeros(nk + nb)
+    one = np.ones(1)
     copy_into(coefficients[:nb], B[nk:])
     rest = errors_of(u, y, Polynomials(B, one, one, F), -coefficients[nb:])
     return hannan_rissanen(rest, nc, nd)
@@ -209,7 +212,8 @@ class Hops:
         kind = self._pick(4)
         if kind == 3 and min(self._degrees[:2]) > 1:
             # A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured.
-            angle, magnitude = self._angle(), self._magnitude(-2.5, -1.0)
+            angle = self._angle()
+            magnitude = self._magnitude(-2.5, -1.0)
             wider = max(1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5)
             for k, size in ((0, wider), (1, magnitude)):
                 part = slice(corners[k], corners[k + 1])
@@ -246,7 +250,8 @@ class Hops:
 
     def _with_pair(self, roots: Roots, magnitude: float, angle: float) -> Roots:
         """Replace two real roots, or a pair, by another pair."""
-        pairs, real = roots[roots.imag > REAL], roots[np.abs(roots.imag) <= REAL]
+        pairs = roots[roots.imag > REAL]
+        real = roots[np.abs(roots.imag) <= REAL]
         if pairs.size and (real.size < 2 or self._pick(2) == 1):
             pairs = np.delete(pairs, self._pick(pairs.size))
         else:

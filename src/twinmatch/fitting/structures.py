@@ -112,7 +112,8 @@ class StructureFit:
         NaN for the inputs of a driven twin.
         """
         seen = np.concatenate(self.seen)
-        measured, simulated = np.hstack(self.measured)[:, seen], np.hstack(self.simulated)[:, seen]
+        measured = np.hstack(self.measured)[:, seen]
+        simulated = np.hstack(self.simulated)[:, seen]
         spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
         left = np.linalg.norm(measured - simulated, axis=1)
         figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
@@ -221,11 +222,13 @@ def held_back_costs(
         fitted: the fit to the windows, from which the search starts.
         windows, noise, law: as in `fit_structure`.
     """
-    noise, ends = noise or Noise.of(fitted.model.plant), [math.ceil(_SEEN * len(w)) for w in windows]
+    noise = noise or Noise.of(fitted.model.plant)
+    ends = [math.ceil(_SEEN * len(w)) for w in windows]
     least = SETTLE + SKIPPED + 1
     parts = [w.part(w.first, w.first + max(e, least) - 1) for w, e in zip(windows, ends, strict=True)]
     before = fit_structure(parts, fitted.model, start=fitted, noise=noise, law=law)
-    problem, blocks = _Problem(_runs(windows, fitted.model, noise, law, {})), []
+    problem = _Problem(_runs(windows, fitted.model, noise, law, {}))
+    blocks = []
     for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
         run_values = np.append(run.values_of(before.parameters)[: len(run.free)], [*starts.values()])
         response = run.simulate(run_values)
@@ -262,7 +265,8 @@ def observed_covariance(
 
 def _typical(model: Model) -> dict[str, Expectation]:
     """The plant file's typical values as prior."""
-    typical, known = model.typical(), {}
+    typical = model.typical()
+    known = {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
@@ -304,8 +308,10 @@ class _Problem:
     """Robust least squares over all windows; values are free parameters and each window's initial states."""
 
     def __init__(self, runs: Sequence[Experiment]) -> None:
-        self.runs, model = runs, runs[0].model
-        self._free, self._own = len(runs[0].free), len(runs[0].free_starts)
+        self.runs = runs
+        model = runs[0].model
+        self._free = len(runs[0].free)
+        self._own = len(runs[0].free_starts)
         unknown = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
         self._lower = np.array([u.bounds[0] for u in unknown])
         self._upper = np.array([u.bounds[1] for u in unknown])
@@ -327,7 +333,9 @@ class _Problem:
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Sum, gradient and JᵀJ over all windows."""
         n = values.size
-        cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
+        cost = 0.0
+        gradient = np.zeros(n)
+        hessian = np.zeros((n, n))
         for window, run in enumerate(self.runs):
             places = self._places(window)
             own_cost, own_gradient, own_hessian = run.normal(values[places])
@@ -348,7 +356,8 @@ class _Problem:
         parts = [best.values[self._places(window)] for window in range(len(self.runs))]
         plant = self.runs[0].model.plant
         signals = len(plant.outputs) + (len(plant.drives) if self.runs[0].closed else 0)
-        simulated, states = [], []
+        simulated = []
+        states = []
         for run, part in zip(self.runs, parts, strict=True):
             response = run.simulate(part)
             both = np.concatenate([response.outputs.T, response.inputs.T])
@@ -379,7 +388,8 @@ class _Problem:
         values[self._free :] = np.concatenate(own)
         length = sum(run.measured.shape[1] - SETTLE for run in self.runs)
         size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
-        scores, slope = [], np.zeros((values.size, values.size))
+        scores = []
+        slope = np.zeros((values.size, values.size))
         for window, run in enumerate(self.runs):
             places = self._places(window)
             each, own_slope = run.scores(values[places])

@@ -58,7 +58,8 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
     """
     try:
         with zipfile.ZipFile(file) as archive:
-            names, infos = archive.namelist(), archive.infolist()
+            names = archive.namelist()
+            infos = archive.infolist()
             _check(infos)
             if only and only not in names:
                 raise FmuError(f"is not an FMU: it has no {only}")
@@ -83,7 +84,8 @@ def _check(infos: list[zipfile.ZipInfo]) -> None:
             raise FmuError(f"has the link {info.filename!r}; it is not unpacked")
     total = sum(info.file_size for info in infos)
     if total > MAX_BYTES:
-        size, most = total / 2**20, MAX_BYTES // 2**20
+        size = total / 2**20
+        most = MAX_BYTES // 2**20
         raise FmuError(f"has {size:.0f} MiB; the limit is {most} MiB")
 
 
@@ -198,7 +200,8 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         unknown.variable.derivative.name for unknown in description.derivatives if unknown.variable.derivative
     ]
     order = {name: place for place, name in reversed(list(enumerate(derived)))}
-    exchange, usual = description.modelExchange, description.defaultExperiment
+    exchange = description.modelExchange
+    usual = description.defaultExperiment
     return Described(
         version=description.fmiVersion,
         name=description.modelName or "",
@@ -359,7 +362,8 @@ def _verdict(described: Described) -> str:
 
 def remembering(described: Described) -> str:
     """What it remembers from event to event, which no state shows, in words."""
-    names, more = ", ".join(described.discrete[:3]), " and others" if len(described.discrete) > 3 else ""
+    names = ", ".join(described.discrete[:3])
+    more = " and others" if len(described.discrete) > 3 else ""
     return (
         f"its discrete variables ({names}{more}) may remember earlier events, and cannot be set to what an "
         "observer estimates; export it without them"

@@ -45,7 +45,8 @@ NEAR_ZERO: Final = 0.1
 """The size of a parameter near zero is this share of its scale."""
 _OF_OUTPUT: Final = (OUTPUTS, OUTPUT_SLOPES)
 
-_INTEGERS, _FLOATS = types.CPointer(types.int64), types.CPointer(types.float64)
+_INTEGERS = types.CPointer(types.int64)
+_FLOATS = types.CPointer(types.float64)
 _KINDS: Final = (
     _INTEGERS, _FLOATS, types.int64, *(_FLOATS,) * 6, types.float64, _FLOATS, _FLOATS, _INTEGERS, types.int64,
     types.int64,
@@ -77,7 +78,8 @@ def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, 
         period = h if what == STEP else machine.head[0].sample
         advance(machine, period)
         for i in range(out.size):
-            end, begun = machine.held[machine.head[0].n_parameters + i], z[machine.head[0].n_parameters + i]
+            end = machine.held[machine.head[0].n_parameters + i]
+            begun = z[machine.head[0].n_parameters + i]
             out[i] = end if what == STEP else (end - begun) / period
 
 
@@ -87,7 +89,8 @@ def ends_of(machine: Machine, by: int, value: float) -> tuple[float, float]:
     size = WIDTH * machine.sizes[by]
     if by < machine.head[0].n_parameters:
         size = max(WIDTH * abs(value), NEAR_ZERO * size)
-    high, low = value + size, value - size
+    high = value + size
+    low = value - size
     return high if high <= machine.highest[by] else value, low if low >= machine.lowest[by] else value
 
 
@@ -97,7 +100,8 @@ def _slope(
     out: FloatArray,
 ) -> None:  # fmt: skip
     """The derivative by one of the parameters, then the states, then the drive."""
-    values, moved = np.empty((2, out.size)), z.copy()
+    values = np.empty((2, out.size))
+    moved = z.copy()
     ends = ends_of(machine, by, z[by])
     for side in range(2):
         moved[by] = ends[side]
@@ -112,12 +116,17 @@ def _function(
     columns: Any, du: Any, which: Any, first: int, size: int,
 ) -> None:  # fmt: skip
     """One of the functions, an index of `FUNCTIONS`; b and those after `out` are not used by all of them."""
-    machine, most = machine_at(integers, floats), 0
+    machine = machine_at(integers, floats)
+    most = 0
     head = machine.head[0]
-    m, n, q = head.n_parameters, head.n_states, head.n_unknown
+    m = head.n_parameters
+    n = head.n_states
+    q = head.n_unknown
     for i in range(head.n_inputs - 1):
         most = max(most, machine.given[i] + 1)
-    z, others, column = np.empty(m + n + 1), numba.carray(d, most), np.zeros(max(n, 1))
+    z = np.empty(m + n + 1)
+    others = numba.carray(d, most)
+    column = np.zeros(max(n, 1))
     for i in range(m + n + 1):
         z[i] = p[i] if i < m else x[i - m] if i < m + n else np.nan if what in _OF_OUTPUT else u[0]
     if what == OUTPUT_SLOPES:
@@ -135,7 +144,8 @@ def _function(
                 of_x = i * n + j - q if j < q + n else n * n + i
                 out[i * q + j if j < q else n * (q + 1) + of_x] = column[i]
     elif what == TANGENTS:
-        by, before = np.empty((first + n + 1, n)), np.empty(n)
+        by = np.empty((first + n + 1, n))
+        before = np.empty(n)
         for j in range(first + n + 1):
             place = machine.unknown[which[j]] if j < first else m + j - first
             _slope(machine, STEP, z, others, h, place, by[j])
@@ -203,14 +213,23 @@ def normal_at(
 
     `code` has no unknowns: no derivatives of single samples are needed.
     """
-    data, n, free, m = problem.data, values.size, problem.places.size, machine.head[0].n_parameters
-    size, signals = data.disturbances.shape[0], 1 if problem.law[KIND] == DRIVEN else 2
+    data = problem.data
+    n = values.size
+    free = problem.places.size
+    m = machine.head[0].n_parameters
+    size = data.disturbances.shape[0]
+    signals = 1 if problem.law[KIND] == DRIVEN else 2
     nowhere = np.inf, np.zeros(n), np.zeros((n, n))
-    still, never = np.zeros((size, 1)), np.zeros(size, dtype=np.bool_)
-    simulated, ends = np.empty((1 + 2 * n, 2, size)), np.empty((n, 2))
-    normal, row, steps = np.zeros((n + 1, n + 1)), np.empty((1, n + 1)), 0
+    still = np.zeros((size, 1))
+    never = np.zeros(size, dtype=np.bool_)
+    simulated = np.empty((1 + 2 * n, 2, size))
+    ends = np.empty((n, 2))
+    normal = np.zeros((n + 1, n + 1))
+    row = np.empty((1, n + 1))
+    steps = 0
     for i in range(1 + 2 * n):
-        moved, j = values.copy(), (i - 1) // 2
+        moved = values.copy()
+        j = (i - 1) // 2
         if i > 0:
             by = problem.places[j] if j < free else m + problem.started[j - free]
             ends[j, 0], ends[j, 1] = ends_of(machine, by, values[j])
@@ -244,7 +263,9 @@ def normal_at(
             break
     if not np.isfinite(normal).all():
         return nowhere
-    cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), np.zeros((n, n))
+    cost = normal[n, n]
+    gradient = normal[n, :n].copy()
+    hessian = np.zeros((n, n))
     for j in range(n):
         off = values[j] - problem.expected[j]
         cost += problem.pull[j] * off * off

@@ -105,7 +105,9 @@ def memory_for(parameters: int, states: int, inputs: int) -> tuple[Integers, Flo
     """The integers and the floats of a machine, zero but for these sizes."""
     integers = np.zeros(_BEGIN + states + inputs + 2 * parameters, dtype=np.int64)
     head = integers[len(FUNCTIONS) : _BEGIN].view(HEAD)[0]
-    head.n_parameters, head.n_states, head.n_inputs = parameters, states, inputs
+    head.n_parameters = parameters
+    head.n_states = states
+    head.n_inputs = inputs
     return integers, np.zeros(6 * (parameters + states + inputs + 1))
 
 
@@ -113,10 +115,13 @@ def memory_for(parameters: int, states: int, inputs: int) -> tuple[Integers, Flo
 def machine_of(integers: Integers, floats: FloatArray) -> Machine:
     """The machine that has this memory."""
     head = integers[len(FUNCTIONS) : _BEGIN].view(HEAD)
-    m, n, inputs = head[0].n_parameters, head[0].n_states, head[0].n_inputs
+    m = head[0].n_parameters
+    n = head[0].n_states
+    inputs = head[0].n_inputs
     given = _BEGIN + n
     unknown = given + inputs
-    shown, whole = unknown + m, m + n + inputs + 1
+    shown = unknown + m
+    whole = m + n + inputs + 1
     return Machine(
         integers[: len(FUNCTIONS)], head, integers[_BEGIN:given], integers[given:unknown],
         integers[unknown:shown], integers[shown : shown + m], floats[:whole], floats[whole : 2 * whole],
@@ -129,7 +134,9 @@ def machine_of(integers: Integers, floats: FloatArray) -> Machine:
 def machine_at(integers: Any, floats: Any) -> Machine:
     """The machine whose memory begins at these pointers."""
     head = numba.carray(integers, _BEGIN)[len(FUNCTIONS) :].view(HEAD)[0]
-    m, n, inputs = head.n_parameters, head.n_states, head.n_inputs
+    m = head.n_parameters
+    n = head.n_states
+    inputs = head.n_inputs
     return machine_of(
         numba.carray(integers, _BEGIN + n + inputs + 2 * m), numba.carray(floats, 6 * (m + n + inputs + 1))
     )
@@ -186,7 +193,8 @@ def _set(machine: Machine, references: int, first: int, count: int) -> None:
 @compiled(inside=True)
 def _initialise(machine: Machine) -> None:
     """Initialise with the parameters and inputs that are held, for co-simulation also with the states."""
-    m, n = machine.head[0].n_parameters, machine.head[0].n_states
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
     if machine.head[0].begun != 0 and _fmi(machine.functions[RESET], machine.head[0].instance, ()) > _WARNING:
         _note(machine, RESET, _fmi(machine.head[0].renew, machine.head[0].instance, ()))
     machine.head[0].begun = 1
@@ -207,8 +215,10 @@ def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
     A run continues where nothing but the inputs has changed; otherwise another one begins, with a new
     initialisation: what the FMU remembers beside its states would be that of the run before.
     """
-    head, held = machine.head[0], machine.held
-    m, n = head.n_parameters, head.n_states
+    head = machine.head[0]
+    held = machine.held
+    m = head.n_parameters
+    n = head.n_states
     there = head.begun != 0
     for i in range(m + n):
         there = there and held[i] == z[i]
@@ -251,7 +261,8 @@ def output(machine: Machine) -> float:
 @compiled(inside=True)
 def advance(machine: Machine, h: float) -> None:
     """Advance it by a step, whose end is held."""
-    m, n = machine.head[0].n_parameters, machine.head[0].n_states
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
     own = np.empty(n)
     if machine.head[0].exchange:
         _integrate(machine, own, h)
@@ -266,8 +277,10 @@ def advance(machine: Machine, h: float) -> None:
 @compiled(inside=True)
 def rates(machine: Machine, values: FloatArray) -> None:
     """The derivatives of the states of a model-exchange FMU, in the plant's units."""
-    m, n = machine.head[0].n_parameters, machine.head[0].n_states
-    x, own = np.empty(n), np.empty(n)
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
+    x = np.empty(n)
+    own = np.empty(n)
     _pass(machine, GET_STATES, x)
     _rates(machine, x, machine.head[0].run_time, own)
     for i in range(n):
@@ -278,7 +291,8 @@ def rates(machine: Machine, values: FloatArray) -> None:
 def _step(machine: Machine, h: float) -> None:
     """One step of the FMU's own solver."""
     flags = np.zeros(8, dtype=np.int32)
-    data, time = flags.ctypes.data, machine.head[0].run_time
+    data = flags.ctypes.data
+    time = machine.head[0].run_time
     _call(machine, STEP, (time, h, 1, data, data + 8, data + 16, data + 24))
     if machine.head[0].fmi_3 and (flags[2] != 0 or flags[4] != 0):  # it terminated, or returned early
         _note(machine, STEP, ENDED)
@@ -292,10 +306,13 @@ def _integrate(machine: Machine, x: FloatArray, h: float) -> None:
     A step across a change of an event indicator's sign ends just after it, as at kinks of the native
     equations.
     """
-    after, signs, left = np.empty(x.size), np.empty(machine.head[0].n_indicators), h
+    after = np.empty(x.size)
+    signs = np.empty(machine.head[0].n_indicators)
+    left = h
     _pass(machine, GET_STATES, x)
     for event in range(MAX_EVENTS):
-        taken, step = left, (machine, x, machine.head[0].run_time, after, signs)
+        taken = left
+        step = (machine, x, machine.head[0].run_time, after, signs)
         _indicators(machine, x, machine.head[0].run_time, signs)
         if _crosses(step, left) and event < MAX_EVENTS - 1:
             low = 0.0
@@ -328,7 +345,8 @@ def _rates(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> 
 
 @compiled(inside=True)
 def _runge_kutta(machine: Machine, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
-    k, there = np.empty((4, x.size)), x.copy()
+    k = np.empty((4, x.size))
+    there = x.copy()
     for stage in range(4):
         reach = h if stage == 3 else 0.5 * h
         if stage > 0:
@@ -351,7 +369,8 @@ def _crosses(step: Any, h: float) -> bool:
     """Take a step from x, to `after`; whether an event indicator has another sign there."""
     machine, x, time, after, signs = step
     _runge_kutta(machine, x, time, h, after)
-    values, crossed = np.empty(signs.size), False
+    values = np.empty(signs.size)
+    crossed = False
     _indicators(machine, after, time + h, values)
     for i in range(signs.size):
         crossed = crossed or (values[i] > 0.0) != (signs[i] > 0.0)
@@ -393,7 +412,8 @@ def _settle(machine: Machine) -> None:
 
 def error_of(machine: Machine) -> str:
     """The error of the calls since the last time, as text; empty without one. It is then forgotten."""
-    status, where = int(machine.head[0].status), FUNCTIONS[machine.head[0].where]
+    status = int(machine.head[0].status)
+    where = FUNCTIONS[machine.head[0].where]
     if not status:
         return ""
     machine.head[0].status = 0

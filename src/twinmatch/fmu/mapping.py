@@ -44,7 +44,8 @@ class Formula:
 
     def __init__(self, place: str, text: str) -> None:
         """Parse a formula; `place` starts the error message."""
-        self.text, self._place = text, place
+        self.text = text
+        self._place = place
         try:
             if len(text) > LONGEST:
                 raise SyntaxError("too long")
@@ -219,7 +220,8 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
 
 
 def _check(of: FmuMap) -> None:
-    states, parameters = of.known_states, of.known_parameters
+    states = of.known_states
+    parameters = of.known_parameters
     _subset(of.place, "free", of.own.free, parameters)
     _subset(of.place, "fixed", of.own.fixed, parameters)
     for search in of.searches:
@@ -288,7 +290,8 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
         raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
     if described.discrete:
         raise FmuError(remembering(described))
-    plant, links = of.plant, of.links
+    plant = of.plant
+    links = of.links
     inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
     states = [links[name] for name in of.known_states]
     parameters = [links[name] for name in of.known_parameters]
@@ -308,7 +311,8 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
         "states": [link.variable for link in states],
         "output": [link.variable for link in output],
     }
-    links_, declared = (*parameters, *states, *inputs, *output), {**plant.parameters, **of.parameters}
+    links_ = (*parameters, *states, *inputs, *output)
+    declared = {**plant.parameters, **of.parameters}
     spans = [*({**plant.states, **of.states}[name].span for name in of.known_states), plant.drive.limits]
     unlimited = [-math.inf for _ in spans]
     own_parameters = [declared[name] for name in of.known_parameters]

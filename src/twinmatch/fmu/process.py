@@ -114,7 +114,9 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
         shapes = [(_SIZES[kind], kind, tuple(int(n) for n in shape)) for kind, shape in header.pop("arrays")]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FmuMessageError(f"a header that cannot be read: {error}") from error
-    body, arrays, place = read(numbers), [], 0
+    body = read(numbers)
+    arrays = []
+    place = 0
     for size, kind, shape in shapes:
         count = math.prod(shape)
         if min(shape, default=0) < 0 or place + size * count > len(body):

@@ -68,8 +68,11 @@ def check_restart(model: Model) -> None:
     Raises:
         FmuError: they disagree, or the FMU has no finite values.
     """
-    plant, parameters, period = model.plant, model.parameters(), sample_time(model.plant)
-    size, (low, high) = round(TESTED * plant_scale(plant, period) / period), plant.drive.limits
+    plant = model.plant
+    parameters = model.parameters()
+    period = sample_time(model.plant)
+    size = round(TESTED * plant_scale(plant, period) / period)
+    low, high = plant.drive.limits
     ends = 0.5 * (plant.drive.rest + np.array([high, low]))
     drive = np.concatenate([np.repeat(ends, _SHORT // 2), np.repeat([high, low], size // 2)])
     y = float(np.mean(plant.output.set_points or plant.output.span))
@@ -105,7 +108,8 @@ def _insensitive(model: Model) -> frozenset[int]:
 
     For co-simulation each of these derivatives would cost two starts of the FMU.
     """
-    output, free = model.plant.output, model.structure.free
+    output = model.plant.output
+    free = model.structure.free
     states = begin(model.parameters(), float(np.mean(output.set_points or output.span)))
     given = model.parameters().vector, states, model.rest, model.disturbances
     try:
@@ -120,11 +124,14 @@ class FmuKernels:
     """The kernels of `twinmatch.dynamics`, run in an FMU's process, with derivatives by some parameters."""
 
     QUANTITIES: Final[tuple[str, ...]] = ()
-    RATE_LIMIT, MAX_STEPS = kernels.RATE_LIMIT, kernels.MAX_STEPS
+    RATE_LIMIT = kernels.RATE_LIMIT
+    MAX_STEPS = kernels.MAX_STEPS
 
     def __init__(self, source: FmuSource, unknown: tuple[str, ...]) -> None:
-        self._source, self.UNKNOWN = source, unknown
-        self.STATES, self.PARAMETERS = source.map.known_states, source.map.known_parameters
+        self._source = source
+        self.UNKNOWN = unknown
+        self.STATES = source.map.known_states
+        self.PARAMETERS = source.map.known_parameters
         self._unknown = [self.PARAMETERS.index(name) for name in unknown]
         for kernel in KERNELS:
             if not hasattr(self, kernel.__name__):
@@ -179,8 +186,10 @@ class FmuSource:
 
     def __init__(self, of: FmuMap, name: str, digest: str) -> None:
         """Begin without a process; `digest` is the hash of the FMU that was given."""
-        self.map, self.title = of, f"{of.plant.title}, {name}"
-        self.parameters, self.states = of.parameters, of.states
+        self.map = of
+        self.title = f"{of.plant.title}, {name}"
+        self.parameters = of.parameters
+        self.states = of.states
         self.lost = ""
         """Why it can no longer be run; empty while it can."""
         self.in_use = False
@@ -275,7 +284,8 @@ class FmuSource:
 
     def _start(self) -> FmuProcess:
         """Start the process and load the FMU, after a check against its map."""
-        of, process = self.map, FmuProcess()
+        of = self.map
+        process = FmuProcess()
         try:
             question, self._kind = loading(of, described_by(of.file, process))
             files = {"file": str(of.file.resolve()), "folder": str(process.folder / "fmu")}

@@ -69,9 +69,13 @@ class LoadedFmu:
         Raises:
             FmuRunError: it cannot be loaded.
         """
-        described, kind = described_from(load["described"]), load["kind"]
-        self._fmu, self._major = _instance(folder, described, kind), int(described.version[0])
-        self._load, self._m, self._n = load, len(load["parameters"]), len(load["starts"])
+        described = described_from(load["described"])
+        kind = load["kind"]
+        self._fmu = _instance(folder, described, kind)
+        self._major = int(described.version[0])
+        self._load = load
+        self._m = len(load["parameters"])
+        self._n = len(load["starts"])
         self._formulas = [Formula(f"start of a state of {described.name}", text) for text in load["starts"]]
         references = {name: np.array(those, dtype=np.uint32) for name, those in load["references"].items()}
         self._memory = machine.memory_for(self._m, self._n, len(references["inputs"]))
@@ -79,8 +83,10 @@ class LoadedFmu:
         self._kept = references, _RENEW(self._renew), _START(self._start)
         self.machine.functions[:] = [self._address(name) for name in machine.FUNCTIONS]
         head = self.machine.head[0]
-        head.renew, head.instance = ctypes.cast(self._kept[1], ctypes.c_void_p).value, self._fmu.component
-        head.fmi_3, head.exchange = self._major == 3, kind == MODEL_EXCHANGE
+        head.renew = ctypes.cast(self._kept[1], ctypes.c_void_p).value
+        head.instance = self._fmu.component
+        head.fmi_3 = self._major == 3
+        head.exchange = kind == MODEL_EXCHANGE
         for name, those in references.items():
             head[name] = those.ctypes.data
         if kind == MODEL_EXCHANGE:
@@ -91,7 +97,8 @@ class LoadedFmu:
         values = ("factors", "offsets", "held", "sizes", "lowest", "highest")
         for name, numbers in zip(values, load["numbers"], strict=True):
             getattr(self.machine, name)[: len(numbers)] = numbers
-        head.rest, head.sample = load["rest"], load["sample"]
+        head.rest = load["rest"]
+        head.sample = load["sample"]
         self._owner, self._addresses = functions.functions_for(
             self._memory[0].ctypes.data,
             self._memory[1].ctypes.data,
@@ -128,7 +135,8 @@ class LoadedFmu:
     def _start(self, y: Any, u: Any, d: Any, p: Any, _: Any, out: Any) -> None:
         """Initial states at an output y after a drive u; their derivatives by y and by the unknowns."""
         output, drive, *others = self._load["signals"]
-        names, n = self._load["parameters"], self._n
+        names = self._load["parameters"]
+        n = self._n
         values = {output: y[0], drive: u[0]}
         values |= dict(zip(others, d[: len(others)], strict=True))
         values |= dict(zip(names, p[: len(names)], strict=True))
@@ -209,12 +217,14 @@ class FmuWorker:
         self._answers.flush()
 
     def _describe(self, message: ProcessMessage) -> bytes:
-        file, folder = Path(message.header["file"]), Path(message.header["folder"])
+        file = Path(message.header["file"])
+        folder = Path(message.header["folder"])
         names = unpack(file, folder, DESCRIPTION)
         return packed({"described": read_description(folder, names).tree})
 
     def _load_fmu(self, message: ProcessMessage) -> bytes:
-        file, folder = Path(message.header["file"]), Path(message.header["folder"])
+        file = Path(message.header["file"])
+        folder = Path(message.header["folder"])
         if digest_of(file) != message.header["digest"]:
             raise FmuRunError("the file has changed since it was added to the plant; start again")
         unpack(file, folder)
@@ -225,8 +235,10 @@ class FmuWorker:
         """The results of a kernel, and the arrays that it has changed."""
         if self._fmu is None:
             raise FmuRunError("no FMU is loaded")
-        header, arrays = message.header, message.arrays
-        kernel, before = _named(header["kernel"]), [array.tobytes() for array in arrays]
+        header = message.header
+        arrays = message.arrays
+        kernel = _named(header["kernel"])
+        before = [array.tobytes() for array in arrays]
         own = (self._fmu.machine,) if kernel is functions.normal_at else ()
         given = value_of(header["arguments"], arrays, _named)
         whole = (self._fmu.code(header["unknown"], header["shown"]), *own, *given)

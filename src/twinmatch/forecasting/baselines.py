@@ -48,11 +48,15 @@ def _simulate(
     memory: FloatArray, ahead: FloatArray, spans: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Outputs and inputs, shape (o + m, N); `past` holds outputs, inputs and disturbances, newest first."""
-    o, p, size = len(coefficients), len(past), past.shape[1]
+    o = len(coefficients)
+    p = len(past)
+    size = past.shape[1]
     m = size - o - rows.shape[1]
     simulated = np.empty((o + m, len(ahead)))
-    y, u = past[0, :o].copy(), past[0, o : o + m].copy()
-    z, after = memory.copy(), memory.copy()
+    y = past[0, :o].copy()
+    u = past[0, o : o + m].copy()
+    z = memory.copy()
+    after = memory.copy()
     lags = past - level
     for k in range(len(ahead)):
         for j in range(o + m, size):
@@ -134,7 +138,8 @@ class Arx:
 
     def __init__(self, law: Law | None, kept: float) -> None:
         """Begin without samples; `kept` is the factor on past weights per sample."""
-        self._law, self._kept = law, kept
+        self._law = law
+        self._kept = kept
         self._fit = _Fit(np.zeros((0, 0)), 0, 0.0, np.zeros(0))
         self._newest: list[Sample] = []
         """Consecutive samples: the `MAX_ORDER` before those that are not yet in the factor, and these."""
@@ -147,7 +152,8 @@ class Arx:
         """Take one sample; from one that was lost, or does not follow the last one, nothing is learned."""
         if self._newest and not sample.follows(self._newest[-1]):
             self._fit = self._fit_now()
-            self._newest, self._learned = [], 0
+            self._newest = []
+            self._learned = 0
         self._newest.append(sample)
         if sample.seen:
             seen = self.visited or [(y, y) for y in sample.outputs]
@@ -156,7 +162,8 @@ class Arx:
             )
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
-            self._newest, self._learned = self._newest[-MAX_ORDER:], MAX_ORDER
+            self._newest = self._newest[-MAX_ORDER:]
+            self._learned = MAX_ORDER
 
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
@@ -166,7 +173,8 @@ class Arx:
         # After a gap the model waits until it has as many samples as its order.
         order = coefficients.shape[1] // past.shape[1]
         if order > len(past):
-            coefficients, order = np.zeros((0, 0)), 0
+            coefficients = np.zeros((0, 0))
+            order = 0
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
         now = np.ascontiguousarray(past[: max(order, 1)])
         return ArxForecast(coefficients, fit.level, now, spans, self._law, controller)
@@ -177,11 +185,14 @@ class Arx:
         It is kept after every `_BLOCK` of them and never when a forecast is asked for: the blocks in which a
         factor is updated change its last bits.
         """
-        new, seen = _rows_of(self._newest), np.array([sample.seen for sample in self._newest])
-        first, fit = max(self._learned, MAX_ORDER), self._fit
+        new = _rows_of(self._newest)
+        seen = np.array([sample.seen for sample in self._newest])
+        first = max(self._learned, MAX_ORDER)
+        fit = self._fit
         if first >= len(new):
             return fit
-        o, size = len(self.visited), new.shape[1]
+        o = len(self.visited)
+        size = new.shape[1]
         level = fit.level if fit.level.size else new[int(np.argmax(seen))]
         # Of sample k all of k − MAX_ORDER … k have to be seen.
         lost = np.concatenate([[0], np.cumsum(~seen)])

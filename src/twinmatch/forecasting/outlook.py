@@ -62,7 +62,8 @@ class StateFilter:
             free: names of the parameters that were matched.
             covariance: covariance of these, shape (len(free), len(free)); default: they are exact.
         """
-        self.parameters, self.period = parameters, period
+        self.parameters = parameters
+        self.period = period
         self.free = tuple(free) if covariance is not None else ()
         self.covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._states = states
@@ -123,7 +124,8 @@ class StateFilter:
     @property
     def joint(self) -> FloatArray:
         """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
-        own, m = self._started.covariance, len(self.free)
+        own = self._started.covariance
+        m = len(self.free)
         n = len(own)
         joint = np.zeros((n + m, n + m))
         joint[:n, :n], joint[n:, n:] = own, self.covariance
@@ -184,7 +186,8 @@ class Followers:
             return
         observers = [each._started for each in following]
         if observers != self._observers or self._bank is None:
-            self._observers, self._bank = observers, ObserverBank(observers)
+            self._observers = observers
+            self._bank = ObserverBank(observers)
         numbers = _move_on(self._bank, following[0]._inputs, samples)
         for each, taken in zip(following, numbers, strict=True):
             each._inputs = samples[-1].inputs
@@ -284,10 +287,12 @@ class Outlook:
             what = "set-points" if self.closed else "inputs"
             msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
-        predicted, size = self.predicted(values, disturbances), len(values)
+        predicted = self.predicted(values, disturbances)
+        size = len(values)
         half = deviations(self.parameters.model, predicted.variances)[: len(self.widths)] * self._widths(size)
         many = predicted.outputs.shape[1]
-        y, u = predicted.means[:many], predicted.means[many:]
+        y = predicted.means[:many]
+        u = predicted.means[many:]
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
@@ -302,7 +307,8 @@ class Outlook:
 
     def _assumptions(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:
         """Notes on assumptions: given inputs, and constant disturbances."""
-        plant, notes = self.parameters.model.plant, []
+        plant = self.parameters.model.plant
+        notes = []
         if not self.closed:
             stays = bool((ahead.reshape(len(ahead), -1) == self.sample.inputs).all())
             drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
@@ -318,7 +324,9 @@ class Outlook:
         """Bands of the controller's commands; given inputs have no uncertainty."""
         if self.law is None:
             return tuple(Band(mean, mean, mean) for mean in means)
-        bands, law, drives = [], self.law.code, self.parameters.model.plant.drives.values()
+        bands = []
+        law = self.law.code
+        drives = self.parameters.model.plant.drives.values()
         for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
             low = max(float(law[LOW + k]), drive.limits[0])
             high = min(float(law[LOW + len(means) + k]), drive.limits[1])
@@ -326,7 +334,8 @@ class Outlook:
         return tuple(bands)
 
     def _widths(self, samples: int) -> FloatArray:
-        ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))
+        ahead = np.log(np.arange(1, samples + 1))
+        knots = np.log(np.array(self.leads, dtype=np.float64))
         return np.stack([np.interp(ahead, knots, row) for row in self.widths])
 
     def _notes_on_range(self, outputs: FloatArray) -> tuple[str, ...]:

@@ -80,13 +80,17 @@ class Calibration:
             outputs: number of outputs among the signals, which come first.
         """
         self._outputs = np.arange(signals) < outputs
-        self.leads, self._kept, self._recent, self._signals = leads, kept, recent, np.arange(signals)
+        self.leads = leads
+        self._kept = kept
+        self._recent = recent
+        self._signals = np.arange(signals)
         self._new = np.minimum(stride / np.array(leads), 1.0)
         """Share of a forecast that the one before did not cover, shape (L,)."""
         # In units of the local scale, beginning with the prior; those from `_first` to `_end` count.
         self._quotients = np.zeros((len(leads), signals, 2 * _HALF_NORMAL.size))
         self._quotients[:, :, : _HALF_NORMAL.size] = _HALF_NORMAL
-        self._first, self._end = [0] * len(leads), [_HALF_NORMAL.size] * len(leads)
+        self._first = [0] * len(leads)
+        self._end = [_HALF_NORMAL.size] * len(leads)
         self._learned = [0] * len(leads)
         # Of the newest quotient, the one before it …
         self._weights: list[float] = np.cumprod([1.0, *[kept] * _HALF_NORMAL.size]).tolist()
@@ -144,7 +148,8 @@ class Calibration:
         self._stale.update(leads)
 
     def _make_room(self, lead: int) -> None:
-        first, end = self._first[lead], self._end[lead]
+        first = self._first[lead]
+        end = self._end[lead]
         if 2 * (end - first) > end:
             self._quotients = np.concatenate([self._quotients, np.zeros_like(self._quotients)], axis=2)
             return
@@ -167,7 +172,8 @@ class Calibration:
         expected. What a controller commands errs at short leads as a reading does, at long ones as a level:
         there, one lead says nothing of the next.
         """
-        shares, scales = _TRUSTED / (_TRUSTED + self._counts), np.empty_like(self._sums)
+        shares = _TRUSTED / (_TRUSTED + self._counts)
+        scales = np.empty_like(self._sums)
         shown = self._sums / (_MEAN * (_TRUSTED + self._counts))
         before = np.ones(len(scales))
         for k, share in enumerate(shares):
@@ -216,7 +222,9 @@ class Ledger:
                 inputs are given.
             kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
         """
-        self.horizons, self.noise, self.kept = new.size, noise, kept
+        self.horizons = new.size
+        self.noise = noise
+        self.kept = kept
         self._uncovered = new
         sizes = np.tile(noise, 1 + len(BASELINES))
         squares = np.ones(len(BASELINES) * (1 + noise.size))
@@ -261,10 +269,12 @@ class Ledger:
         accounts = (*range(len(BASELINES)), *names)
         if not self._rows.keys() >= {*accounts}:
             self._set((name, name) for name in (*self._rows, *accounts))
-        h, rows = horizon, [self._rows[name] for name in accounts]
+        h = horizon
+        rows = [self._rows[name] for name in accounts]
         sizes = np.abs(np.concatenate([baselines, errors]))
         means = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
-        account, baseline = self._accounts[rows, h], means[: len(BASELINES)].ravel()
+        account = self._accounts[rows, h]
+        baseline = means[: len(BASELINES)].ravel()
         widths = np.maximum(account[:, _MEANS : _MEANS + self.noise.size], _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + means / (widths * _LN10)
         account[:, :_MEANS] *= self.kept
@@ -292,12 +302,15 @@ class Ledger:
             return unknown, unknown
         account = self._accounts[self._rows[name]]
         sizes = account[:, self._sizes].T.reshape(1 + len(BASELINES), -1, self.horizons)
-        squares, count = account[:, self._squares].T, len(BASELINES)
+        squares = account[:, self._squares].T
+        count = len(BASELINES)
         ratios = np.log(sizes[0] / sizes[1:])
         if signal is None:
-            ratios, squares = ratios.mean(axis=1), squares[:count]
+            ratios = ratios.mean(axis=1)
+            squares = squares[:count]
         else:
-            ratios, squares = ratios[:, signal], squares[count + signal :: self.noise.size]
+            ratios = ratios[:, signal]
+            squares = squares[count + signal :: self.noise.size]
         errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
         known = account[:, _WEIGHT] >= _COMPARED
         skill, high = (1.0 - np.exp(each) for each in (ratios, ratios - _ONE_SIDED * errors))
@@ -315,7 +328,8 @@ class Ledger:
         if 0 not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
         accounts = self._accounts[[self._rows.get(name, -1) for name in names]]
-        lengths, weights = accounts[:, :, _LENGTH], accounts[:, :, _WEIGHT]
+        lengths = accounts[:, :, _LENGTH]
+        weights = accounts[:, :, _WEIGHT]
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
         trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
         return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))

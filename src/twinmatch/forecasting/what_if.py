@@ -77,7 +77,9 @@ def settling_time(forecast: Forecast, level: float, tolerance: float) -> Moment:
         ForecastError: as `time_to_reach`.
     """
     _check(forecast, level, tolerance)
-    band, low, high = forecast.output, level - tolerance, level + tolerance
+    band = forecast.output
+    low = level - tolerance
+    high = level + tolerance
     return Moment(
         _last(forecast, np.abs(band.mean - level) <= tolerance),
         _last(forecast, (band.high >= low) & (band.low <= high)),
@@ -167,13 +169,15 @@ def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
         ForecastError: set-points or inputs out of range or in the past, a horizon that is not positive or too
             long, a level that is not finite, or a tolerance that is not positive.
     """
-    plant, period = outlook.parameters.model.plant, outlook.period
+    plant = outlook.parameters.model.plant
+    period = outlook.period
     if not plant.single:
         raise ForecastError(
             f"what if: plant {plant.name} has several loops; try-controller answers what a set-point does to "
             "each, and twin/forecast shows what comes if nothing is changed"
         )
-    output, standing = plant.output, one_of_each("level", outlook.standing)
+    output = plant.output
+    standing = one_of_each("level", outlook.standing)
     size = _samples(question.horizon, outlook)
     if question.times or question.levels:
         ahead = SetPoints(standing, question.times, question.levels, question.ramps, signal=outlook.signal)

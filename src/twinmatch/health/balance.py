@@ -105,7 +105,8 @@ class Balance:
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
         self._resting: deque[float] = deque(maxlen=TRIAL)  # the same, if the drive had no effect
-        self._record, self._unsettled = Record(), deque[tuple[float, float]]()
+        self._record = Record()
+        self._unsettled = deque[tuple[float, float]]()
         self.roughness = 0.0
         """RMS error of the corrected balance over the newest blocks, per second."""
         self.at_rest = 0.0

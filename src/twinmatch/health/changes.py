@@ -344,7 +344,8 @@ class ChangeDetector:
         _, h, age, level, _ = self._best[1]
         if h.ceases:
             return self._beyond(age, level)
-        blocks, size = list(self.tracked.blocks)[-age:], self.tracked.size
+        blocks = list(self.tracked.blocks)[-age:]
+        size = self.tracked.size
         stretch = joined(blocks)
         course = self._course(h, blocks[0].before[level], level, stretch)
         beliefs = (course(stretch.part(0, size * count))[0] for count in range(1, age + 1))
@@ -353,7 +354,8 @@ class ChangeDetector:
     def _beyond(self, age: int, level: int) -> FloatArray:
         """How far the output went in every block beyond what the equations alone expect, until most of it."""
         blocks = list(self.tracked.blocks)[-age:]
-        belief, gone = blocks[0].before[level], [0.0]
+        belief = blocks[0].before[level]
+        gone = [0.0]
         for block, after in itertools.pairwise(blocks):
             belief, _ = self.tracker.run(belief, block.stretch.unseen, level)
             expected, _ = self.tracker.expected(
@@ -382,7 +384,9 @@ class ChangeDetector:
 
     def _clear(self) -> None:
         """Look for jumps from now on only."""
-        n, kinds, starts = self.tracker.size, len(self._jumps), REACH // _EVERY
+        n = self.tracker.size
+        kinds = len(self._jumps)
+        starts = REACH // _EVERY
         self._traces = Traces(
             np.zeros((n, kinds, starts)), np.zeros((kinds, starts)), np.zeros((kinds, starts))
         )
@@ -399,9 +403,11 @@ class ChangeDetector:
 
     def _search(self) -> DetectedChange | None:
         """The change, if a jump of any number saves more than it costs."""
-        count, longest = self.tracked.count, len(self.tracked.blocks)
+        count = self.tracked.count
+        longest = len(self.tracked.blocks)
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
-        hits, weights = self._traces.hits, self._traces.weights
+        hits = self._traces.hits
+        weights = self._traces.weights
         worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
         age = count - self._started
         fits = (self._started >= 0) & (age >= _MIN_AGE) & (age <= longest)
@@ -413,7 +419,8 @@ class ChangeDetector:
         self._idle += 1
         if self._idle < min(1 + self._asking // _PATIENCE, _RAREST):
             return None
-        self._idle, self._asking = 0, self._asking + 1
+        self._idle = 0
+        self._asking = self._asking + 1
         best = stepped or int(age[np.argmax(worth.max(axis=0))])
         ages = {best - _EVERY, best, best + _EVERY}
         if self._best is not None:
@@ -444,7 +451,8 @@ class ChangeDetector:
             return (nothing - float(before[-age - 1]) - cost) / dispersion
 
         likely = [*self.hypotheses, *([self._back] if self._back else [])]
-        blocks, oldest = list(self.tracked.blocks), len(self.tracked.blocks)
+        blocks = list(self.tracked.blocks)
+        oldest = len(self.tracked.blocks)
         self._courses = {key: one for key, one in self._courses.items() if key[1] >= blocks[0].first}
         stretches = {age: joined(blocks[-age:]) for age in ages}
         for age, h, level in itertools.product(ages, likely, self.tracked.levels):
@@ -477,7 +485,8 @@ class ChangeDetector:
         if oldest - age >= 2 * _EVERY:
             early, cost = self._run(h, oldest, level, joined(blocks))
             if saved(cost, oldest) > order[0].gain - _WORTH:
-                belief, dated = early, 0
+                belief = early
+                dated = 0
         onset = blocks[-age]
         change = DetectedChange(
             hypothesis=h,
@@ -531,7 +540,8 @@ class ChangeDetector:
 
     def _course(self, h: Hypothesis, before: Belief, level: int, stretch: Readings) -> _Course:
         """The same for the readings since an onset: at first these, later more of them."""
-        tracker, size = self.tracker, self.tracked.size
+        tracker = self.tracker
+        size = self.tracked.size
         if h.at_once:
             came = stretch.output[: 2 + _EVERY * size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
@@ -547,7 +557,8 @@ class ChangeDetector:
         drift = np.zeros(tracker.size)
         half = math.sqrt(0.5) * h.spread
         drift[h.index] = half / math.sqrt(h.lasting)
-        opened, lasting = before.opened(h.index, h.shift, half), round(h.lasting / self._period)
+        opened = before.opened(h.index, h.shift, half)
+        lasting = round(h.lasting / self._period)
         return TrackedCourse(tracker, opened, level, opened=drift, lasting=lasting).to
 
     def _rising(self, h: Hypothesis, course: TrackedCourse) -> _Course:
@@ -561,9 +572,11 @@ class ChangeDetector:
 
     def _ceased(self, h: Hypothesis, before: Belief, level: int) -> _Course:
         """The same if a number changes, and is as before since the moment that explains most."""
-        at, step = h.index, _EVERY * self.tracked.size
+        at = h.index
+        step = _EVERY * self.tracked.size
         spread = math.sqrt(before.covariance[at, at])
-        belief, begun = before.opened(at, h.shift, h.spread), 0.0
+        belief = before.opened(at, h.shift, h.spread)
+        begun = 0.0
         since: list[tuple[float, TrackedCourse]] = []  # and the code length of the readings until then
 
         def to(readings: Readings) -> tuple[Belief, float]:
@@ -583,7 +596,8 @@ class ChangeDetector:
 
     def _jumped(self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int) -> _Course:
         """The same if a number jumps before the reading at this place."""
-        belief, begun = before, 0.0
+        belief = before
+        begun = 0.0
         if place > 0:
             belief, begun = self.tracker.run(belief, stretch.part(0, place), level)
         course = TrackedCourse(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
@@ -600,7 +614,9 @@ def code_length_of(number: int) -> float:
 
     Rissanen's universal prior (Annals of Statistics 11, 1983), whose probabilities add up to 1.
     """
-    bits, rest = math.log2(_UNIVERSAL), math.log2(max(number, 1))
+    bits = math.log2(_UNIVERSAL)
+    rest = math.log2(max(number, 1))
     while rest > 0.0:
-        bits, rest = bits + rest, math.log2(rest)
+        bits = bits + rest
+        rest = math.log2(rest)
     return bits * math.log(2.0)

@@ -38,8 +38,10 @@ class ChannelSentences:
     """Names the signals of one plant."""
 
     def __init__(self, model: Model) -> None:
-        self._model, plant = model, model.plant
-        self._drives, self._outputs = list(plant.drives.items()), list(plant.outputs.items())
+        self._model = model
+        plant = model.plant
+        self._drives = list(plant.drives.items())
+        self._outputs = list(plant.outputs.items())
 
     def _declared(self, cause: Named) -> tuple[str, Drive | Output | Parameter]:
         fault, place = cause
@@ -59,14 +61,18 @@ class ChannelSentences:
     ) -> tuple[str, float, str]:
         """Name of the signal, size of the change, and a sentence; `left` is the share of a drive's effect."""
         name, declared = self._declared(best.cause)
-        size, text, unit = math.nan, "", declared.unit
+        size = math.nan
+        text = ""
+        unit = declared.unit
         if fault is Fault.LOSSES_CHANGED:
             size = math.exp(best.shift)
             text = f"{size:.2g} times"
         elif fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
-            size, text = left, f"{left:.0%}"
+            size = left
+            text = f"{left:.0%}"
         elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
-            size, text = best.shift, f"{signed(best.shift)} {unit}".rstrip()
+            size = best.shift
+            text = f"{signed(best.shift)} {unit}".rstrip()
         around = self._model.plant.surroundings
         reason = _SAID[fault].format(
             name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)

@@ -120,8 +120,10 @@ class ChannelMonitor:
         self.estimates = tuple(
             self._estimate(i, one, sample) for i, one in through.items() if one.samples > one.rehearsed
         )
-        newest, on = self._alarms[-1] if self._alarms else None, self.on
-        news, nan = newest if newest is not before else None, math.nan
+        newest = self._alarms[-1] if self._alarms else None
+        on = self.on
+        news = newest if newest is not before else None
+        nan = math.nan
         if on is None:
             return Health(sample.index, HealthState.HEALTHY, None, None, "", nan, nan, news)
         return Health(
@@ -196,11 +198,13 @@ class ChannelMonitor:
         return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _FADED
 
     def _judge(self, found: list[Suspect]) -> None:
-        competition, on = self.competition, self.on
+        competition = self.competition
+        on = self.on
         if on is not None and self._over(on, found):
             self._close()
         if not found or found[0].evidence < CHANGE or competition.count < _START * competition.second:
-            self._leads, self._unnamed = (None, 0), 0
+            self._leads = (None, 0)
+            self._unnamed = 0
             return
         named = [f for f in found if f.cause[0] is not Fault.DRIFT]
         if named and named[0].evidence > found[0].evidence - LEAD:
@@ -282,7 +286,8 @@ class ChannelMonitor:
     def _adopt(self, best: Suspect) -> None:
         """The plant is so from now on; what has changed may be undone."""
         self.competition.adopt(best)
-        self._leads, self._unnamed = (None, 0), 0
+        self._leads = (None, 0)
+        self._unnamed = 0
         self.competition.expect_back([
             replace(row, shift=-size, spread=0.2 * abs(size), lasting=0.0, slowly=0.0, price=-2.0)
             for _, row, size in self._standing

@@ -67,7 +67,8 @@ class Competition:
         self.second = self.healthy.second
         outputs = self._model.plant.outputs.values()
         self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
-        self._usual, self._suspected = rows_of(self._model), False
+        self._usual = rows_of(self._model)
+        self._suspected = False
         self._rehearsals = [Rehearsal(self.second, output.noise) for output in outputs]
         self.through: dict[int, ReadThrough] = {}
         """Estimates of the outputs whose sensors lie, by their places."""
@@ -102,7 +103,9 @@ class Competition:
         self._causes = list(dict.fromkeys(row.cause for row in rows))
         each = {cause: sum(math.exp(-r.price) for r in rows if r.cause == cause) for cause in self._causes}
         once = len(self._causes) * _HOUR / EVERY
-        spread, period, scale = np.array([row.spread for row in rows]), healthy.period, healthy.scale
+        spread = np.array([row.spread for row in rows])
+        period = healthy.period
+        scale = healthy.scale
         lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
         self.table = ChangeRows(
             number=np.array([healthy.numbers[row.number] for row in rows], dtype=np.int64),
@@ -121,7 +124,10 @@ class Competition:
 
     def push(self, sample: Sample, values: FloatArray, seen: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
-        healthy, sensors, table, traces = self.healthy, self.sensors, self.table, self._traces
+        healthy = self.healthy
+        sensors = self.sensors
+        table = self.table
+        traces = self._traces
         reach = round(_REACH * self.second)
         if self.count and self.count % max(1, round(EVERY * self.second)) == 0:
             if not self._suspected and healthy.choose_way():
@@ -129,7 +135,8 @@ class Competition:
             weights = healthy.log_weights[: healthy.levels].copy()
             weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
             spawn(traces, table, healthy.members.at, weights, _COUNTS, reach, self.count)
-        row, u = self._model.disturbance_row(sample.disturbances or None), np.array(sample.inputs)
+        row = self._model.disturbance_row(sample.disturbances or None)
+        u = np.array(sample.inputs)
         healthy.open(values, u, row)
         readings = list(zip(sensors, values.tolist(), seen.tolist(), strict=True))
         for sensor, value, counts in readings:
@@ -137,7 +144,8 @@ class Competition:
         learned = [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
         repeated, noise, digit, pause, variance = np.array(list(zip(*learned, strict=True)))
         given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
-        code, levels = self._model.kernels.code, healthy.levels
+        code = self._model.kernels.code
+        levels = healthy.levels
         step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
         self._rehearse(given, variance)
         if self.through:
@@ -164,26 +172,32 @@ class Competition:
             rehearsal.push(given, float(variance[output]), output)
 
     def _without(self, output: int, since: int) -> ReadThrough:
-        healthy, band = self.healthy, self._rehearsals[output].band
+        healthy = self.healthy
+        band = self._rehearsals[output].band
         return ReadThrough(
             self._model, healthy.without(output, since), healthy.fixed, output, table=self.table, band=band
         )
 
     def found(self) -> list[Suspect]:
         """Every cause with its evidence, the best first."""
-        dear, healthy, suspects = 2.0 * math.log(1.0 + self.known / _HOUR), self.healthy, []
+        dear = 2.0 * math.log(1.0 + self.known / _HOUR)
+        healthy = self.healthy
+        suspects = []
         for c in np.flatnonzero(self._totals >= _INTERESTING + dear):
             t = int(self._likeliest[c])
-            row, born = self.rows[t // _SLOTS % len(self.rows)], int(self._traces.born[t])
+            row = self.rows[t // _SLOTS % len(self.rows)]
+            born = int(self._traces.born[t])
             slowly = row.slowly * healthy.scale
             share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
-            shift, error = float(self._traces.mean[t]), math.sqrt(self._traces.variance[t])
+            shift = float(self._traces.mean[t])
+            error = math.sqrt(self._traces.variance[t])
             evidence = float(self._totals[c]) - dear
             suspects.append(Suspect(self._causes[c], evidence, row, shift * share, error * share, born, t))
         for i, sensor in enumerate(self.sensors):
             evidence = sensor.frozen - math.log(_HOUR * self.second) - dear
             if evidence >= _INTERESTING:
-                row, born = ChangeRow((Fault.SENSOR_FROZEN, i), ""), self.count - sensor.repeats
+                row = ChangeRow((Fault.SENSOR_FROZEN, i), "")
+                born = self.count - sensor.repeats
                 suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
         suspects.sort(key=lambda one: -one.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
@@ -229,7 +243,9 @@ class Competition:
     def adopt(self, one: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
         began then."""
-        traces, members, row = self._traces, self.healthy.members, one.hypothesis // _SLOTS % len(self.rows)
+        traces = self._traces
+        members = self.healthy.members
+        row = one.hypothesis // _SLOTS % len(self.rows)
         for b in range(self.healthy.healthy):
             begin = (b * len(self.rows) + row) * _SLOTS
             own = range(begin, begin + _SLOTS) if b < self.healthy.levels else ()

@@ -177,7 +177,9 @@ class FaultSentences:
 
     def __init__(self, plant: type[Plant], period: float) -> None:
         """`period` is the sample time, s."""
-        self._plant, self._period, self._span = plant, period, plant.output.span
+        self._plant = plant
+        self._period = period
+        self._span = plant.output.span
         self.output = f"the {plant.output.text or plant.output.name}"
         self.unit = f" {plant.output.unit}".rstrip()
         self.input = plant.drive.unit or plant.drive.name
@@ -227,7 +229,8 @@ class FaultSentences:
 
     def lost(self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False) -> Evidence:
         """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
-        moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
+        moved = signed(effect.expected)
+        shown = signed(effect.share * effect.expected)
         other = ", or the plant loses far more than before" if lagged else ""
         where = f", and at {self.surroundings}" if lagged else ""
         reason = (

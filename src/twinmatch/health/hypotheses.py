@@ -51,17 +51,23 @@ def rows_of(model: Model) -> list[ChangeRow]:
             cause = Fault.LOSSES_CHANGED, place
             found += [ChangeRow(cause, name, *size, 0.4) for size in ((2.0, 2.0), (-0.7, 0.2))]
         elif declared.role == "room":
-            cause, spread, least = (Fault.ROOM_CHANGED, place), 0.8 * declared.scale, 0.3 * declared.scale
+            cause = (Fault.ROOM_CHANGED, place)
+            spread = 0.8 * declared.scale
+            least = 0.3 * declared.scale
             found.append(ChangeRow(cause, name, 0.0, spread, least))
             found.append(ChangeRow(cause, name, 0.0, spread, least, 1800.0, price=RARE))
     for j, drive in enumerate(model.plant.drives.values()):
-        cause, share, push = (Fault.DRIVE_WEAK, j), f"share {j}", 0.15 * (drive.limits[1] - drive.limits[0])
+        cause = (Fault.DRIVE_WEAK, j)
+        share = f"share {j}"
+        push = 0.15 * (drive.limits[1] - drive.limits[0])
         found.append(ChangeRow((Fault.DRIVE_LOST, j), share, -1.0, 0.03, 0.5, wanders=0.05))
         found += [ChangeRow(cause, share, shift, 0.2, 0.1) for shift in (-0.35, 0.3)]
         found.append(ChangeRow(cause, share, 0.0, 0.3, 0.1, 300.0, price=RARE))
         found.append(ChangeRow((Fault.DRIFT, j), f"push {j}", 0.0, push, 0.1 * push, price=UNKNOWN))
     for i, output in enumerate(model.plant.outputs.values()):
-        cause, offset, noise = (Fault.SENSOR_DRIFT, i), f"offset {i}", output.noise
+        cause = (Fault.SENSOR_DRIFT, i)
+        offset = f"offset {i}"
+        noise = output.noise
         found.append(ChangeRow(cause, offset, 0.0, 30.0 * noise, 8.0 * noise, wanders=0.1))
         found.append(ChangeRow(cause, offset, 0.0, 30.0 * noise, 8.0 * noise, 300.0, price=RARE))
         cause = Fault.DISTURBANCE, i

@@ -86,7 +86,8 @@ class ErrorModel:
 
     def learned(self, error: float, moved: float) -> ErrorModel:
         """After one more stretch: its error, and how far the equations moved the plant in it."""
-        at_rest, moving = self.rest, self.share * moved**2
+        at_rest = self.rest
+        moving = self.share * moved**2
         total = at_rest + moving
         square = min(error**2, _CLIP**2 * total)
         # The expected squares of both parts, given their sum.
@@ -125,8 +126,12 @@ def _outputs_under(  # noqa: PLR0917 (what a run needs)
     and, instead, at each of some levels; shape (1 + levels, 3). The last but one input is held on, as are the
     last disturbances, shape (n, nd). The output is read as `dynamics.read` does; an `instant` one shows the
     last input at the end and, at other levels, the first: estimated states suit that."""
-    work, found, n = work_for(code, vector), np.empty((1 + levels.size, 3)), inputs.size - 1
-    u, row, read = np.empty(1), np.empty(d.shape[1]), rest.copy()
+    work = work_for(code, vector)
+    found = np.empty((1 + levels.size, 3))
+    n = inputs.size - 1
+    u = np.empty(1)
+    row = np.empty(d.shape[1])
+    read = rest.copy()
     for k in range(1 + levels.size):
         at = x.copy()
         for i in range(n + later + 1):
@@ -156,7 +161,8 @@ class SimulatedSpan:
         """`inputs` and `rows` of disturbances from the `first` sample on, and the input after them; `before`:
         input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
         self.first = first
-        self._given, self._then = (inputs, rows), (later, period)
+        self._given = (inputs, rows)
+        self._then = (later, period)
         levels = first.parameters.model.rest[0], before
         (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(first.parameters, *levels)
         self.moved = self.works - begun
@@ -171,7 +177,8 @@ class SimulatedSpan:
 
     def colder(self, change: float) -> float:
         """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
-        twin, moved = self.first.parameters, 0.0
+        twin = self.first.parameters
+        moved = 0.0
         for name, parameter in twin.model.declared.items():
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
@@ -180,7 +187,9 @@ class SimulatedSpan:
         return moved
 
     def _outputs(self, twin: Parameters, *levels: float) -> list[list[float]]:
-        model, (inputs, rows), (later, period) = twin.model, self._given, self._then
+        model = twin.model
+        inputs, rows = self._given
+        later, period = self._then
         found = model.kernels.call(
             _outputs_under, twin.vector, self.first.states, inputs, np.array(levels), rows, later, model.rest,
             model.disturbances, period, twin.steps(period), model.instant,
@@ -249,13 +258,15 @@ class LaggedEffect(DriveEffect):
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with a twin and the sample time, s."""
-        self._parameters, self._period = parameters, period
+        self._parameters = parameters
+        self._period = period
         self._noise = parameters.model.plant.output.noise
         self._scale = slow_scale(parameters.model.plant, period)
         self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
         self._apart = max(1, round(_APART * self._scale / period))
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
-        self._frozen, self._shift = False, 0.0
+        self._frozen = False
+        self._shift = 0.0
         self.restart()
 
     newcomer = True
@@ -297,7 +308,8 @@ class LaggedEffect(DriveEffect):
             return
         self._frozen = frozen
         if frozen and self._past:
-            self._parameters, self._errors = self._past[0].parameters, self._past[0].errors
+            self._parameters = self._past[0].parameters
+            self._errors = self._past[0].errors
         self._observer = None
 
     def push(self, sample: Sample, shift: float = 0.0) -> Movement:
@@ -334,7 +346,8 @@ class LaggedEffect(DriveEffect):
                 disturbances=row,
                 random_walks=self._random_walks,
             )
-        observer, moved = self._observer, 0.0
+        observer = self._observer
+        moved = 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
             on = advance(last.parameters, self._standing, last.input, self._period, last.disturbances)
@@ -362,9 +375,13 @@ class LaggedEffect(DriveEffect):
 
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
-        self.share, self.rival, self._compared = math.nan, None, False
-        past, learned = list(self._past), list(self._errors)
-        inputs, rows = self._inputs, self._rows
+        self.share = math.nan
+        self.rival = None
+        self._compared = False
+        past = list(self._past)
+        learned = list(self._errors)
+        inputs = self._inputs
+        rows = self._rows
         for k, length in enumerate(self._spans):
             first = len(past) - 1 - length
             if first < 0:
@@ -399,7 +416,8 @@ class LaggedEffect(DriveEffect):
 
         A drive that was turned down looks lost if it does more than its equations say, or sooner.
         """
-        effect, changed = stretch.effect, stretch.changed
+        effect = stretch.effect
+        changed = stretch.changed
         if effect == 0.0:
             return
         share = 1.0 + error / effect
@@ -425,10 +443,13 @@ class LaggedEffect(DriveEffect):
             return
         if share < FOLLOWS[0] and not self._frozen:
             if not self._compared:
-                self.rival, self._compared = self._better_cause(), True
+                self.rival = self._better_cause()
+                self._compared = True
             if self.rival is not None:
                 return
-        self.share, self.length, self.expected = share, len(stretch), effect
+        self.share = share
+        self.length = len(stretch)
+        self.expected = effect
 
     def _better_cause(self) -> Cause | None:
         """What explains the last minute far better than a drive that has lost its effect; None if nothing.

@@ -42,7 +42,8 @@ _LATER_S: Final = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0)
 
 def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[FloatArray]:
     """The newest `size` inputs as they act if they come late, or through a lag; `second`: its samples."""
-    first, times = inputs.size - size, [late * second for late in _LATER_S if late * second >= 0.5]
+    first = inputs.size - size
+    times = [late * second for late in _LATER_S if late * second >= 0.5]
     for delay in sorted({max(1, round(late)) for late in times}):
         yield inputs[np.maximum(np.arange(first, inputs.size) - delay, 0)]
     for late in times:
@@ -105,7 +106,8 @@ class LateInput:
         return self._past[max(0, len(self._past) - 1 - self.delay)].input
 
     def _track(self) -> None:
-        samples, inputs = list(self._past)[-self._size :], [s.input for s in self._past]
+        samples = list(self._past)[-self._size :]
+        inputs = [s.input for s in self._past]
         model = self._tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in samples])
         rows = rows.reshape(self._size, -1)
@@ -113,7 +115,8 @@ class LateInput:
         output = np.array([*self._before, *(s.output for s in samples)])
         self._before = output[-2:].tolist()
         noise = np.where(seen, model.plant.output.noise, np.inf)
-        first, costs = samples[0], np.zeros(len(self._delays))
+        first = samples[0]
+        costs = np.zeros(len(self._delays))
         for place, delay in enumerate(self._delays):
             late = self._late(inputs, delay)
             if len(self._beliefs) <= place:

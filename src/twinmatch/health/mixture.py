@@ -55,13 +55,15 @@ class HealthyMixture:
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters; `period` is the sample time, s."""
-        self.parameters, self.period = parameters, period
+        self.parameters = parameters
+        self.period = period
         model = self._model = parameters.model
         self.scale = slow_scale(model.plant, period)
         self.second = self.scale / period
         """Samples in a second of a plant as fast as the rig."""
         swift = plant_scale(model.plant, period) / period
-        m, o = len(model.rest), len(model.noise)
+        m = len(model.rest)
+        o = len(model.noise)
         names = [*model.states, *model.structure.free]
         for name, count in (("share", m), ("push", m), ("offset", o), ("passing", o), ("fading", o)):
             names += [f"{name} {i}" for i in range(count)]
@@ -72,30 +74,36 @@ class HealthyMixture:
         self.fixed = self._constants(Assumed.of(parameters, period))
         delays, lags = _WAYS
         late = list(dict.fromkeys(round(delay * swift) for delay in delays))
-        self._late, self._ways = np.array(late), len(late) + len(lags)
+        self._late = np.array(late)
+        self._ways = len(late) + len(lags)
         self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
         self.levels = len(LEVELS)
         self.healthy = self.levels + self._ways  # after them, forecasts
         self._ahead = [max(1, round(ahead * self.second)) for ahead in AHEAD]
-        count, size = self.healthy + _FORECASTS, len(names)
+        count = self.healthy + _FORECASTS
+        size = len(names)
         self.members = BankMembers(
             np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
             np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool), np.arange(count) < self.healthy,
             *(np.zeros((count, o)) for _ in range(3)),
         )  # fmt: skip
-        self._way, self._fresh = 0, True
+        self._way = 0
+        self._fresh = True
         self.known = 0
         """Samples since the beginning."""
         self.best = 0
         """The most probable of the levels."""
-        self._dispersion, self._weights = np.ones(len(AHEAD)), np.full(len(AHEAD), _PRIOR)
+        self._dispersion = np.ones(len(AHEAD))
+        self._weights = np.full(len(AHEAD), _PRIOR)
         self._waiting: deque[tuple[int, int, float]] = deque()
         self.doubts = np.ones(1)
         """By how much evidence is divided, for each age of a change, samples."""
         self.restart()
 
     def _constants(self, assumed: Assumed) -> BankConstants:
-        model, period, numbers = self._model, self.period, self.numbers
+        model = self._model
+        period = self.period
+        numbers = self.numbers
         known, first, drift, keeps = assumed.first.size, *np.zeros((2, len(numbers))), np.ones(len(numbers))
         first[:known], drift[:known], self._shown = assumed.first, assumed.drift, assumed.shown
         for name, logged in zip(model.structure.free, assumed.free.logged, strict=True):
@@ -141,7 +149,8 @@ class HealthyMixture:
         self.members.error[self.levels : self.healthy] = LEVELS[min(self.best + 1, self.levels - 1)]
         if not self._again:
             return
-        n, members = self._n, self.members
+        n = self._n
+        members = self.members
         states = begin(self.parameters, values, input=u, disturbances=row)
         for b in range(self.healthy):
             first = self._first.copy()
@@ -201,20 +210,25 @@ class HealthyMixture:
     ) -> None:
         """Compare forecasts with the readings, whose own variance is given, and begin another; `count` are
         the samples since the last gap, and `reach` is the highest age of a change."""
-        members, free, all_seen = self.members, -1, bool(seen.all())
+        members = self.members
+        free = -1
+        all_seen = bool(seen.all())
         for k, alive in enumerate(members.alive[self.healthy :].tolist()):
-            b, age = self.healthy + k, count - self._begun[k]
+            b = self.healthy + k
+            age = count - self._begun[k]
             if alive and age in self._ahead and all_seen:
                 squares = (values - members.expected[b]) ** 2 / (members.variance[b] + variance)
                 squares = np.minimum(squares, _MOST)
                 self._waiting.append((self.known, self._ahead.index(age), float(squares.mean())))
             if not alive or age >= self._ahead[-1]:
-                members.alive[b], free = False, k
+                members.alive[b] = False
+                free = k
         if count % self._ahead[3] == 0 and free >= 0:
             b = self.healthy + free
             for one in (members.at, members.covariance, members.error, members.way):
                 one[b] = one[self.best]
-            members.alive[b], self._begun[free] = True, count
+            members.alive[b] = True
+            self._begun[free] = count
         late = _COUNTED * self.second if self.known > _KNOWN * self.second else 0.0
         counted = self.known
         while self._waiting and self.known - self._waiting[0][0] > late:
@@ -229,12 +243,17 @@ class HealthyMixture:
 
     def choose_way(self) -> bool:
         """Have inputs act in another way from now on, if that is clearly better; whether it is."""
-        log, levels, members = self.log_weights, self.levels, self.members
-        mine, others = float(np.logaddexp.reduce(log[:levels])), log[levels : self.healthy]
+        log = self.log_weights
+        levels = self.levels
+        members = self.members
+        mine = float(np.logaddexp.reduce(log[:levels]))
+        others = log[levels : self.healthy]
         way = int(np.argmax(others))
         if others[way] <= mine + _BETTER:
             return False
-        scout, was, better = levels + way, levels + self._way, float(others[way])
+        scout = levels + way
+        was = levels + self._way
+        better = float(others[way])
         for one in (members.at, members.covariance):
             one[was] = one[self.best]
             one[:levels] = one[scout]

@@ -92,7 +92,8 @@ class Monitor:
 
     def _begin_with(self, settings: HealthSettings) -> None:
         """Judge the drive's effect by the settings' twin."""
-        twin, period = settings.reference, settings.period
+        twin = settings.reference
+        period = settings.period
         self._balance = Balance(twin, period)
         late = is_lagged(twin, period)
         self._late = LaggedEffect(twin, period) if late else None
@@ -121,7 +122,8 @@ class Monitor:
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
-        last, self._newest = self._newest, sample
+        last = self._newest
+        self._newest = sample
         if last is None or sample.index != last.index + 1 or stamps_apart(last, sample, self.settings.period):
             self._restart(sample.index)
         elif not sample.follows(last):  # readings were refused for long, and may be off from now on
@@ -130,14 +132,16 @@ class Monitor:
             self._slow.restart(offset=True)
         self._index = sample.index
         if parameters is not self._given:
-            self._given, self._until_trial = parameters, 0
+            self._given = parameters
+            self._until_trial = 0
             if parameters is not None:
                 self._take(parameters)
         before = self._before
         evidence = self._examine(sample) if sample.usable else None
         starting = (sample.index - self._begin) * self.settings.period < self.settings.start
         if sample.refused:
-            evidence, starting = self._sentences.refused(before, sample), False
+            evidence = self._sentences.refused(before, sample)
+            starting = False
             self._refused_at = sample.index
             if self._brief and not sample.usable:  # from now on it is the fault of a sensor that has failed
                 self._alarms[-1] = replace(self._alarms[-1], spoils=True)
@@ -185,7 +189,8 @@ class Monitor:
             self._alarms.clear()
             self._open = False
             self._slow.forget()
-        self._begin, self._before = index, None
+        self._begin = index
+        self._before = None
         self._repeats = self._new_repeats()
         self._restart_traces()
         self._balance.restart()
@@ -226,7 +231,8 @@ class Monitor:
             self._repeats.push(sample.output - before.output, movement, inward, earned=False)
             return self._sentences.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
-        after, acting = movement, self._acting(sample)
+        after = movement
+        acting = self._acting(sample)
         if self._late is not None:
             self._late.newcomer = not self._slow.compares
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
@@ -273,7 +279,8 @@ class Monitor:
         if self._effect.share < least and not self._repeats.unusual:
             return self._effect_missing(sample.index)
         self._contrary = self._feeble = 0
-        slow, stood = self._slow.evidence, self._repeats.count
+        slow = self._slow.evidence
+        stood = self._repeats.count
         stands = self._late is not None and self._late.rival is Cause.FROZEN
         stands = stands and not (slow is not None and sample.index - slow.first > stood)
         if stands and stood * self.settings.pace >= _STOOD:
@@ -404,7 +411,8 @@ class Monitor:
 
     def _begun(self, index: int, evidence: Evidence) -> None:
         """Have every part know of an alarm that has begun."""
-        self._open, self._slow_alarm = True, evidence.slow
+        self._open = True
+        self._slow_alarm = evidence.slow
         self._balance.forget_newest()
         self._slow.propose(None)
         if evidence.fault is Fault.DISTURBANCE and not self._prompt:
@@ -419,7 +427,8 @@ class Monitor:
     def _recovered(self) -> bool:
         """Whether the fault that is on is over."""
         fault = self._alarms[-1].fault
-        quiet, proven = self._quiet * self.settings.pace, self._proofs * self.settings.pace
+        quiet = self._quiet * self.settings.pace
+        proven = self._proofs * self.settings.pace
         if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
@@ -437,12 +446,14 @@ class Monitor:
         return self._alarms[-1]
 
     def _health(self, index: int, evidence: Evidence | None, starting: bool, news: Alarm | None) -> Health:
-        share, rate = self._effect.share, self._slow.rate
+        share = self._effect.share
+        rate = self._slow.rate
         if self._open:
             alarm = self._alarms[-1]
             same = evidence is not None and evidence.fault is alarm.fault
             reason = evidence.reason if evidence is not None and same else alarm.reason
-            since, of = alarm.first, alarm.signal
+            since = alarm.first
+            of = alarm.signal
             return Health(index, HealthState.FAULT, alarm.fault, since, reason, share, rate, news, of)
         if evidence is None:
             return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)

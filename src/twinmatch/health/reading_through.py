@@ -40,8 +40,12 @@ class ReadThrough:
     ) -> None:  # fmt: skip
         """Continue with one member that asks the sensor nothing. `band` is half of the width that holds nine
         of ten readings at an age, samples, where the member's variance and that of the noise are given."""
-        self._code, self._fixed, self._output, self._table = model.kernels.code, fixed, output, table
-        self._alone, self._band = members, band
+        self._code = model.kernels.code
+        self._fixed = fixed
+        self._output = output
+        self._table = table
+        self._alone = members
+        self._band = band
         self._none = unborn(0, members.at.shape[1])
         self._given: Reading | None = None
         self._noise = 0.0
@@ -54,14 +58,17 @@ class ReadThrough:
 
     def push(self, given: Reading, variance: float) -> None:
         """Take a sample in which this sensor does not count; `variance` is that of its noise."""
-        self._given, self._noise, self.samples = given, variance, self.samples + 1
+        self._given = given
+        self._noise = variance
+        self.samples = self.samples + 1
         step(self._code, self._fixed, self._alone, self._none, self._table, 1, given, 0)
         self.estimate = self._seen_in(self._alone, self.samples)
 
     def lasts(self, wide: float, longest: int) -> int:
         """For how many samples, at most `longest`, the band stays narrower than ± `wide` under these inputs,
         if the other sensors read what is expected."""
-        members, given = BankMembers(*(array.copy() for array in self._alone)), self._given
+        members = BankMembers(*(array.copy() for array in self._alone))
+        given = self._given
         if given is None:
             return 0
         quiet = np.zeros_like(given.repeated)
@@ -83,7 +90,8 @@ class Rehearsal:
     def __init__(self, second: float, noise: float) -> None:
         """Begin without any; `second`: samples in a second of a plant as fast as the rig; `noise` as the
         plant file declares it."""
-        self._usual, self._strays = (_STRAYS * noise) ** 2, _AGES[-2] * second
+        self._usual = (_STRAYS * noise) ** 2
+        self._strays = _AGES[-2] * second
         self._ends = np.round(_AGES * second).astype(np.int64)
         self._sums, self._count = np.zeros((2, _AGES.size))
         self._early = True

@@ -52,7 +52,8 @@ class Refusals:
         self._spans = [output.span for output in plant.outputs.values()]
         self._defaults = settings.reference
         self._twin = settings.reference if plant.typical else None
-        self._period, self._longest = settings.period, longest
+        self._period = settings.period
+        self._longest = longest
         self._jump = settings.jump * max(1.0, settings.pace)
         self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
         self._cut = False  # whether the first of these is not usable
@@ -70,10 +71,12 @@ class Refusals:
     def settle(self, sample: Sample) -> Sample:
         """The sample, its reading replaced if it is refused."""
         if self._since and self._apart(self._since[-1], sample):
-            self._since, self._cut = [], False
+            self._since = []
+            self._cut = False
             self._earlier.clear()
         if self._possible(sample) and not (self._since and self._leaps(sample)):
-            self._since, self._cut = [sample], False
+            self._since = [sample]
+            self._cut = False
             self._earlier.extend(sample.inputs[:1])
             return sample
         return self._refused(sample)
@@ -108,9 +111,11 @@ class Refusals:
     def _movement(self, twin: Parameters, index: int, given: float | None = None) -> tuple[float, float]:
         """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes;
         under another input, if one is `given`."""
-        model, steps = twin.model, twin.steps(self._period)
+        model = twin.model
+        steps = twin.steps(self._period)
         states: FloatArray = np.full(len(model.states), np.nan)
-        y, size = self._since[0].output, 0.0
+        y = self._since[0].output
+        size = 0.0
         ends = [*(sample.index for sample in self._since), index]
         try:
             for sample, (begin, end) in zip(self._since, pairwise(ends), strict=True):
@@ -120,7 +125,8 @@ class Refusals:
                     drive, passive, states = model.kernels.parts(
                         twin.vector, y, states, u, float(model.plant.drive.rest), row, self._period, steps,
                     )  # fmt: skip
-                    y, size = y + drive + passive, size + abs(drive) + abs(passive)
+                    y = y + drive + passive
+                    size = size + abs(drive) + abs(passive)
         except PlantError:
             return 0.0, math.inf
         return (y - self._since[0].output, size) if math.isfinite(y) else (0.0, math.inf)
@@ -141,7 +147,8 @@ class Refusals:
             usable=not cut,
         )
         if cut:  # the next reading is compared with this one
-            self._since, self._cut = [replace(settled, outputs=read)], True
+            self._since = [replace(settled, outputs=read)]
+            self._cut = True
         else:
             self._since.append(settled)
         return settled

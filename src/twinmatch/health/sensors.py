@@ -20,11 +20,16 @@ class LearnedSensor:
 
     def __init__(self, noise: float, span: tuple[float, float], second: float) -> None:
         """Begin with the plant file's noise; `second`: samples in a second of a plant as fast as the rig."""
-        self._usual, self._span, self._second = noise, span[1] - span[0], second
-        self.noise, self.step = noise, 0.1 * noise
+        self._usual = noise
+        self._span = span[1] - span[0]
+        self._second = second
+        self.noise = noise
+        self.step = 0.1 * noise
         """Standard deviation, and the last digit."""
-        self._rough, self._walk = noise * _SECOND, 2.0 * noise
-        self._smallest, self._moves = math.inf, 0
+        self._rough = noise * _SECOND
+        self._walk = 2.0 * noise
+        self._smallest = math.inf
+        self._moves = 0
         self._pauses = [[1.0, 50.0], [2.0, 4.0]]  # repeats and readings, after a new one and after a repeat
         self.restart()
 
@@ -34,7 +39,8 @@ class LearnedSensor:
         self._counted = self._pauses[0]
         self.repeated = False
         """Whether the reading is the one before."""
-        self.repeats, self.frozen = 0, 0.0
+        self.repeats = 0
+        self.frozen = 0.0
         """How often in a row, and what that says for a frozen sensor, nats."""
 
     @property
@@ -60,11 +66,13 @@ class LearnedSensor:
         if not seen or math.isnan(self._before):
             return 0.0
         anchor = self._before if math.isnan(self._anchor) else self._anchor
-        off, spread = value - anchor, self._walk
+        off = value - anchor
+        spread = self._walk
         near, far = (_between(off, self.step, by * spread) for by in (1.0, 3.0))
         moved = min(max(abs(off), 0.3 * self.noise), 4.0 * spread)
         self._walk += (1.2 * moved - spread) / (30.0 * self._second)
-        like, junk = 0.95 * near + 0.05 * far, JUNK * min(self.step / self._span, 1.0)
+        like = 0.95 * near + 0.05 * far
+        junk = JUNK * min(self.step / self._span, 1.0)
         # A reading that says nothing is not where the next one starts, but two are.
         self._anchor = anchor if like < junk and math.isnan(self._anchor) else math.nan
         return math.log((1.0 - self.pause) * like + junk)
@@ -72,11 +80,15 @@ class LearnedSensor:
     def learn(self, value: float, seen: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""
         if self.repeated:
-            self.repeats, self.frozen = self.repeats + 1, self.frozen + _STANDS - gained
+            self.repeats = self.repeats + 1
+            self.frozen = self.frozen + _STANDS - gained
         elif seen:
-            self.repeats, self.frozen = 0, 0.0
-        earlier, before = self._earlier, self._before
-        self._earlier, self._before = before, value if seen else math.nan
+            self.repeats = 0
+            self.frozen = 0.0
+        earlier = self._earlier
+        before = self._before
+        self._earlier = before
+        self._before = value if seen else math.nan
         if not seen or math.isnan(before):
             return
         if self.repeats < 10:

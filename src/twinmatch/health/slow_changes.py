@@ -88,7 +88,9 @@ class SlowChanges:
 
     def __init__(self, settings: HealthSettings, sentences: FaultSentences, *, steps: bool = False) -> None:
         """Begin without samples; `steps`: whether only a sensor that has shifted makes a step."""
-        self._settings, self._sentences, self._steps = settings, sentences, steps
+        self._settings = settings
+        self._sentences = sentences
+        self._steps = steps
         self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._proposed: Parameters | None = None
         self._trial: TwinOnTrial | None = None
@@ -239,7 +241,8 @@ class SlowChanges:
         trial.push(sample)
         faulty = self._reported is not None or self._shift is not None or (self.suspected and self.earned)
         if trial.won and not faulty:
-            self._settings, self._detector = trial.settings, trial.detector
+            self._settings = trial.settings
+            self._detector = trial.detector
             self._clear_suspicion()
             self._trial = None
         elif trial.lost:
@@ -247,7 +250,9 @@ class SlowChanges:
 
     def _doubt_readings(self, change: DetectedChange, index: int) -> None:
         """Doubt the readings while nothing explains clearly more than that they have shifted."""
-        settings, shift, behind = self._settings, self._shift, change.behind(Kind.SENSOR)
+        settings = self._settings
+        shift = self._shift
+        behind = change.behind(Kind.SENSOR)
         least = _DOUBTED * settings.followed.model.plant.output.noise
         near = behind <= _CLEARLY * settings.lead and abs(change.off) >= least
         sure = change.gain - behind >= settings.change and change.begun and self.earned
@@ -289,11 +294,14 @@ class SlowChanges:
 
     def _end_shift(self) -> None:
         self._over = self._over or self.reported is Fault.SENSOR_DRIFT
-        self._shift, self._likely = None, 0
+        self._shift = None
+        self._likely = 0
         self._detector.expect_back(0.0)
 
     def _clear_suspicion(self) -> None:
-        self.evidence, self._change, self._running = None, None, 0
+        self.evidence = None
+        self._change = None
+        self._running = 0
         self._unnamed_since = None
 
     @property
@@ -311,7 +319,8 @@ class SlowChanges:
         if returned or not change.begun:
             self._adopt(lasting=self._lasted(index))
             return True
-        reported, h = self._reported, change.hypothesis
+        reported = self._reported
+        h = change.hypothesis
         if h.kind is Kind.PASSING:
             return self._absorbed(change)
         same = reported is not None and reported.hypothesis.index == h.index
@@ -360,7 +369,8 @@ class SlowChanges:
         """How far something that has passed moved the output, and how long it lasted, s; None if that is too
         little to be reported."""
         assert self._change is not None  # noqa: S101 — only what was detected is described
-        pushes, block = self._detector.pushes(), self._detector.block
+        pushes = self._detector.pushes()
+        block = self._detector.block
         strong = np.abs(pushes) >= self._change.hypothesis.least * block
         noise = self._settings.followed.model.plant.output.noise
         if not strong.any() or np.abs(pushes).sum() < _MOVED * noise:
@@ -369,7 +379,8 @@ class SlowChanges:
 
     def _evidence(self, change: DetectedChange, index: int) -> Evidence:
         """The evidence for a change."""
-        h, settings = change.hypothesis, self._settings
+        h = change.hypothesis
+        settings = self._settings
         enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
         enough = enough and self.earned
         material = abs(change.shift) >= h.least
@@ -416,7 +427,9 @@ class SlowChanges:
 
     def _describe(self, change: DetectedChange) -> str:
         """Say what has changed, and by how much."""
-        h, output, unit = change.hypothesis, self._sentences.output, self._sentences.unit
+        h = change.hypothesis
+        output = self._sentences.output
+        unit = self._sentences.unit
         if h.kind is Kind.LOST:
             return f"the drive has no effect on {output}: look at drive, wires and supply"
         if h.kind is Kind.DRIVE:

@@ -83,14 +83,16 @@ class Effect(DriveEffect):
 
     def __init__(self, period: float, noise: float) -> None:
         """`period` in s, `noise` of a reading."""
-        self._period, self._noise = period, noise
+        self._period = period
+        self._noise = noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
         self._accused: float | None = None  # the share that was last reported
         self.restart()
 
     def accuse(self) -> None:
         """The share was reported as a fault: from now on, what speaks against it is weighed."""
-        self._accused, self.returned = min(self.share, FOLLOWS[0]), 0.0
+        self._accused = min(self.share, FOLLOWS[0])
+        self.returned = 0.0
 
     def restart(self) -> None:
         """Forget what was pushed."""
@@ -114,7 +116,8 @@ class Effect(DriveEffect):
         drive, rest = self._sums[-1]
         self._sums.append((drive + movement.drive, rest + (0.0 if isolated else left)))
         self.share = math.nan
-        newest, known = self._sums[-1], len(self._sums) - 1
+        newest = self._sums[-1]
+        known = len(self._sums) - 1
         for length in self._spans:
             if length > known:
                 break
@@ -125,11 +128,14 @@ class Effect(DriveEffect):
             share = 1.0 + (newest[1] - then[1]) / expected
             counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
             if counts and not share >= self.share:
-                self.share, self.length, self.expected = share, length, expected
+                self.share = share
+                self.length = length
+                self.expected = expected
 
     def _weigh(self, movement: Movement, usual: float, share: float) -> None:
         """Weigh a movement, whose usual error is `usual` and lasts for several samples, against a share."""
-        drive, usual = movement.drive, math.hypot(usual, _ERROR_SHARE * movement.drive)
+        drive = movement.drive
+        usual = math.hypot(usual, _ERROR_SHARE * movement.drive)
         most = 1.5 * abs(drive) + 3.0 * usual
         left = min(max(movement.unexplained, -most), most)
         missing = left + (1.0 - share) * drive
@@ -152,7 +158,9 @@ class Repeats:
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
-        self._seen, self._moves = 10, 0  # readings (the first shares count as 10) and changes
+        # readings (the first shares count as 10) and changes
+        self._seen = 10
+        self._moves = 0
         self._last = self._jitter = 0.0  # the change before, and by how much changes differ on average
         self._step = math.inf  # smallest change so far: that of a reading's last digit
         self.count = 0
@@ -189,7 +197,9 @@ class Repeats:
             self._moves += 1
             self._step = min(self._step, abs(change))
             self._longest = max(self._longest, self.count)
-        self.count, self.expected, self._error = 0, 0.0, 0.0
+        self.count = 0
+        self.expected = 0.0
+        self._error = 0.0
 
     @property
     def _coarse(self) -> bool:

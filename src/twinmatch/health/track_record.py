@@ -53,7 +53,8 @@ class TrackRecord:
         self._tracker = tracker
         self._noise = tracker.parameters.model.plant.output.noise
         self._waiting: deque[_Outcome] = deque()
-        self._relative, self._weight = np.full(len(HORIZONS), _PRIOR), _PRIOR
+        self._relative = np.full(len(HORIZONS), _PRIOR)
+        self._weight = _PRIOR
         self._squares = np.full(len(HORIZONS), 3.0 * _PRIOR)
         self._records = [Record()] * len(HORIZONS)
 
@@ -103,11 +104,14 @@ class TrackRecord:
         last = blocks[0].stretch.output[1]
         if np.isnan(last) or any(np.isinf(after.noise[0]) for after in came):
             return None
-        belief, begun, found = blocks[0].before[level], 0, []
+        belief = blocks[0].before[level]
+        begun = 0
+        found = []
         for horizon, after in zip(HORIZONS, came, strict=True):
             belief, _ = self._tracker.run(belief, joined(blocks[begun:horizon]).unseen, level)
             expected, variance = self._tracker.expected(belief, after.disturbances[0], after.input[:1])
-            error, begun = after.output[2] - expected, horizon
+            error = after.output[2] - expected
+            begun = horizon
             relative = min(error**2 / (variance + after.noise[0] ** 2), _MOST)
             found.append((relative, error, after.output[2] - last))
         return _Outcome(*np.array(found).T)

@@ -137,7 +137,8 @@ class TrackedBlocks:
 
     def take(self, stretch: Readings, traces: Traces, *, settled: bool) -> None:
         """Track a block; the level is kept if `settled`."""
-        first, row = self._samples[0], stretch.disturbances[0]
+        first = self._samples[0]
+        row = stretch.disturbances[0]
         self._samples.clear()
         if not self._beliefs:
             levels = range(len(LEVELS))
@@ -150,7 +151,8 @@ class TrackedBlocks:
             self._beliefs = tuple(b.opened(at, 0.0, spread) for b in beliefs)
             self._opening = None
         self._gap = False
-        after, costs = [], []
+        after = []
+        costs = []
         careful = len(LEVELS) - 1 - self.known // _CAREFUL
         for level, belief in enumerate(self._beliefs):
             watched = traces if level == self.level else None
@@ -191,9 +193,11 @@ class TrackedBlocks:
         self._costs += (np.array(self.blocks[-_WAIT - 1].costs) - self._costs) / self._counted
         total = self._costs * self._counted
         best = int(np.flatnonzero(total <= total.min() + _CLEARLY)[-1])
-        before, level = self.level, min(best + 1, len(LEVELS) - 1)
+        before = self.level
+        level = min(best + 1, len(LEVELS) - 1)
         if self._counted >= _WAIT:
-            self.level, self.blind = level, best >= _BLIND
+            self.level = level
+            self.blind = best >= _BLIND
         return self.level != before
 
 

@@ -26,7 +26,8 @@ class TwinOnTrial:
         """Begin with the settings' twin, where a block begins; `steps` as in `hypotheses`."""
         self.settings = settings
         self.detector = ChangeDetector(settings.followed, settings.period, steps=steps)
-        self._other, self._until = against.tracked, against.tracked.count + _LONGEST
+        self._other = against.tracked
+        self._until = against.tracked.count + _LONGEST
         self._begun = self._lead = 0.0
 
     def push(self, sample: Sample) -> None:

@@ -37,7 +37,8 @@ _MAX_SHOWN: Final = 20
 _MAX_VALUES: Final = 40_000_000
 """Most numbers that are read, 320 MB: ten million samples of four signals, a day at 100 Hz."""
 
-_MATRIX, _COMPRESSED = 14, 15
+_MATRIX = 14
+_COMPRESSED = 15
 _NUMERIC: Final = range(6, 16)
 """Classes of arrays of numbers, `double` to `uint64`."""
 _COMPLEX: Final = 0x08

@@ -71,7 +71,8 @@ class TwinSession(Recording):
             SessionError: it cannot be made.
         """
         super().__init__(folder, plan.limits)
-        self._plant, plant = plan.settings.plant.name, description_of(plan.settings.plant)
+        self._plant = plan.settings.plant.name
+        plant = description_of(plan.settings.plant)
         twin = {**values_of(plan.settings), "candidates": "given" if plan.candidates else ""}
         for name, values in ((SAMPLER, plan.values), ("matcher", twin), ("discriminator", twin)):
             texts = {key: json.dumps(value) for key, value in values.items()}
@@ -178,7 +179,8 @@ class Alone:
 
     def _look(self) -> None:
         """Show what keeps signals from giving samples, once each; and that ticks were missed."""
-        listener, missed = self._listener, self._listener.sampler.grid.missed
+        listener = self._listener
+        missed = self._listener.sampler.grid.missed
         for name in listener.channels:
             text = listener.trouble(name) if self._taken or listener.late else ""
             self._shown.trouble(name, text)
@@ -228,7 +230,9 @@ class Alone:
         self._view.close()
         self._view.say(f"ended: {self._taken} samples, {self._tally.verdicts} verdicts")
         if len(self._spool):
-            spool, period, law = self._spool, self._settings.period, self._settings.law
+            spool = self._spool
+            period = self._settings.period
+            law = self._settings.law
             longest = spool.longest(period), spool.stretches
             for line in closing_lines(
                 conclude(self._tally, lambda: longest, law, period=period), self._tally.last

@@ -42,7 +42,8 @@ class Judging(Background):
         self.snapshot = Snapshot()
         """The newest, from which questions are answered; only where forecasts are wanted."""
         self._samples: SimpleQueue[Sample] = SimpleQueue()
-        self._twin, self._shown = Twin(settings, given), shown
+        self._twin = Twin(settings, given)
+        self._shown = shown
         self._mirror = Mirror(
             settings.start,
             settings.law,
@@ -67,11 +68,13 @@ class Judging(Background):
             self.judged.put(self._judge(sample))
 
     def _judge(self, sample: Sample) -> Judged:
-        outcome, known = self._twin.push(sample), self._twin.discriminator.stamps
+        outcome = self._twin.push(sample)
+        known = self._twin.discriminator.stamps
         made = {verdict.sample for verdict in outcome.verdicts}
         made |= {outcome.match.sample} if outcome.match is not None else set()
         stamps = {index: known.get(index, 0) for index in made}
-        mirror, forecast = None, None
+        mirror = None
+        forecast = None
         with without_what_fails("a sample could not be shown", self._twin.discriminator.defects):
             mirror = self._mirror.push(sample)
             forecast = self._forecast()

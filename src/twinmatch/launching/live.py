@@ -84,7 +84,8 @@ class Live:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         if self.newest is not None and not sample.continues(self.newest):
             self.samples.close()
-            self.samples, self.received = SampleSpool(), 0
+            self.samples = SampleSpool()
+            self.received = 0
             self.waiting.clear()
         self.received += 1
         self.newest = sample
@@ -245,7 +246,8 @@ class _LiveRun(Supervised):
         live.settle(lambda sample: self.settled.complete(sample, live.verdicts.verdicts))
         self.view.advance(live.received)
         if self._over is None:
-            self._over, self._over_at = self._lost(), time.monotonic()
+            self._over = self._lost()
+            self._over_at = time.monotonic()
         if self._over is None:
             return None
         code, live.ending = self._over

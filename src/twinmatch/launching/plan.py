@@ -244,7 +244,8 @@ def attach_plan(
     settings = twin_beside(values, twin_config)
     plant = settings.plant
     twin_values = values_of(settings)
-    sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
+    sampler = folder / "sampler.yaml"
+    twin = folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, *understood(SAMPLER, values)), "utf-8")
     twin.write_text(render("/**", table_of(settings), twin_values), "utf-8")
     return AttachPlan(

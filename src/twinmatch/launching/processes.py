@@ -54,7 +54,8 @@ class Processes:
             LaunchError: no process can be made.
         """
         mine, its = os.pipe()
-        words, environment = ("-m", module, *arguments), {**os.environ, **self.environment}
+        words = ("-m", module, *arguments)
+        environment = {**os.environ, **self.environment}
         try:
             process = fork_server().start(*words, output=its, environment=environment)
         except OSError as error:
@@ -132,7 +133,8 @@ class Page:
 
         `config` is the parameter file of the twin's nodes; `tell` the broker that it publishes to.
         """
-        self._port, self._show = port, show
+        self._port = port
+        self._show = show
         self._options = ["--control"] if control else []
         self._options += ["--config", str(config)] if config is not None else []
         self._options += ["--tell", tell] if tell else []

@@ -87,7 +87,9 @@ class _ReplayRun(Supervised):
 
     def __init__(self, replay: Replay, settings: TwinSettings, playable: Path, view: Screen | Lines) -> None:
         super().__init__(view)
-        self._replay, self._settings, self._playable = replay, settings, playable
+        self._replay = replay
+        self._settings = settings
+        self._playable = playable
         self._changed = time.monotonic()
         self._restarts = 0
         self._playing = False
@@ -117,7 +119,8 @@ class _ReplayRun(Supervised):
         Raises:
             LaunchError: a process was lost, or verdicts stay away.
         """
-        replay, samples = self._replay, self._replay.session.samples
+        replay = self._replay
+        samples = self._replay.session.samples
         if replay.verdicts:
             self.view.advance(replay.verdicts[-1].sample - samples[0].index + 1)
         if not self._playing and node.count_publishers("twin/model_score"):
@@ -152,7 +155,8 @@ class _ReplayRun(Supervised):
         return "player" in ended
 
     def _start_twin(self) -> None:
-        replay, settings = self._replay, self._settings
+        replay = self._replay
+        settings = self._settings
         values = {"period": settings.period, "plant": written_name(settings.plant)}
         if settings.law is None:
             values["loop"] = UNKNOWN

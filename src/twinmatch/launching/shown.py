@@ -30,7 +30,8 @@ class Asked:
 
     def __init__(self, state: DashboardState, settings: TwinSettings) -> None:
         """Answer into a state."""
-        self._state, self._settings = state, settings
+        self._state = state
+        self._settings = settings
         self.snapshot = Snapshot()
         """What is answered from."""
 
@@ -80,7 +81,8 @@ class Shown:
 
     def take(self, judged: Judged, snapshot: Snapshot) -> None:
         """Show what the twin made of a sample."""
-        mirror, state = judged.mirror, self.state
+        mirror = judged.mirror
+        state = self.state
         if mirror is not None:
             row = TwinRow(*(getattr(mirror, name) for name in TwinRow._fields))
             state.push_twin(mirror.sample.index, row)

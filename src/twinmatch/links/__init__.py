@@ -15,7 +15,8 @@ class Background:
     def __init__(self, name: str, run: Callable[[], None], patience: float = 2.0) -> None:
         """`run` returns soon after `ending` is set; `close` waits for it `patience` s by default."""
         self.ending = threading.Event()
-        self._run, self._patience = run, patience
+        self._run = run
+        self._patience = patience
         self._thread = threading.Thread(target=self._guarded, name=name, daemon=True)
 
     def start(self) -> None:

@@ -51,7 +51,9 @@ class Kit(tclab.TCLab):
     """The package's class on a given port; the original constructor only searches the USB bus."""
 
     def __init__(self, port: str, patience: float = _ANSWER) -> None:
-        self.port, self.debug, self.baud = port, False, 0
+        self.port = port
+        self.debug = False
+        self.baud = 0
         for baud in _BAUDS:
             try:
                 self.connect(baud)
@@ -182,7 +184,8 @@ class _Keeper:
         """The received lines; None at the end of input. Waits at most the deadline while a heater is on."""
         if not select.select([0], [], [], self._deadline if self._driving else None)[0]:
             self._kit.off()
-            self._driving, self._silent = False, True
+            self._driving = False
+            self._silent = True
             return []
         heard = os.read(0, 4096)
         *lines, self._heard = (self._heard + heard).split(b"\n")
@@ -218,7 +221,8 @@ def _number(word: str) -> float:
 
 def main(arguments: list[str]) -> int:
     """Hold a port until the standard input ends; returns the exit code."""
-    port, deadline = arguments[0], float(arguments[1])
+    port = arguments[0]
+    deadline = float(arguments[1])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ends at the end of its input instead
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     signal.signal(signal.SIGHUP, lambda *_: sys.exit(0))

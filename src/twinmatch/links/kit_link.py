@@ -89,10 +89,12 @@ class KitLink:
             KitAbsentError: the package `tclab` is not installed.
         """
         require_package()
-        self.port, self.firmware = port, ""
+        self.port = port
+        self.firmware = ""
         self.plant_time: Callable[[], object] | None = None
         """Called while an answer of a virtual kit in step is awaited, to let a moment of plant time pass."""
-        self._wanted, self._deadline = port, deadline
+        self._wanted = port
+        self._deadline = deadline
         self._process: subprocess.Popen[bytes] | None = None
         self._heard = b""
 
@@ -148,7 +150,8 @@ class KitLink:
 
     def close(self) -> None:
         """Let the process switch the heaters off and end; returns when it has ended."""
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if process is None:
             return
         assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 — opened as pipes
@@ -172,9 +175,11 @@ class KitLink:
 
     def _answer(self, patience: float) -> tuple[str, str]:
         assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
-        pipe, deadline = self._process.stdout.fileno(), time.monotonic() + patience
+        pipe = self._process.stdout.fileno()
+        deadline = time.monotonic() + patience
         while b"\n" not in self._heard:
-            left, wait = deadline - time.monotonic(), math.inf
+            left = deadline - time.monotonic()
+            wait = math.inf
             if self.plant_time is not None:
                 self.plant_time()
                 wait = _SHORT

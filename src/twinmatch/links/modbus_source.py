@@ -80,21 +80,26 @@ class ModbusDevice:
 
     def __init__(self, url: str) -> None:
         """Parse the URL; raise a ModbusError if it cannot be used."""
-        self._text, tcp, rtu = url.partition("?")[0], _TCP.fullmatch(url), _RTU.fullmatch(url)
+        self._text = url.partition("?")[0]
+        tcp = _TCP.fullmatch(url)
+        rtu = _RTU.fullmatch(url)
         given = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
         wrong = [f"{k}={v}" for k, v in given.items() if not re.fullmatch(_KEYS.get(k, "(?!)"), v, re.A)]
-        keys, self._tcp = _USUAL | given, bool(tcp)
+        keys = _USUAL | given
+        self._tcp = bool(tcp)
         self._client: Any  # its methods have no types
         self._open: partial[Any]
         if rtu and not wrong:
-            baud, self._unit = int(keys["baud"]), int(keys["unit"])
+            baud = int(keys["baud"])
+            self._unit = int(keys["unit"])
             self._client = ModbusSerialClient(
                 rtu[1], baudrate=baud, timeout=_PATIENCE, retries=0, trace_packet=self._trace
             )
             line = partial(Serial, rtu[1], baud, parity=keys["parity"], stopbits=int(keys["stop"]))
             self._open = partial(line, timeout=_PATIENCE, write_timeout=_PATIENCE, exclusive=True)
         elif tcp and (port := int(tcp[2] or 502)) < 65536 and int(tcp[3]) < 256:
-            host, self._unit = tcp[1].strip("[]"), int(tcp[3])
+            host = tcp[1].strip("[]")
+            self._unit = int(tcp[3])
             self._client = ModbusTcpClient(
                 host, port=port, timeout=_PATIENCE, retries=0, trace_packet=self._trace
             )
@@ -107,7 +112,8 @@ class ModbusDevice:
 
     def read(self, span: Span) -> Values:
         """The values of a span that one request may read; raise a ModbusError if they do not come."""
-        (table, first, end), client = span, self._client
+        table, first, end = span
+        client = self._client
         where = f"{self._text}: {registers.span_text(span)}"
         self._received = b""
         bits = {"coil": client.read_coils, "discrete": client.read_discrete_inputs}
@@ -181,10 +187,14 @@ class ModbusSource:
         """Send nothing yet."""
         self.kinds: dict[str, str] = {}
         self.lost = ""  # what is not answered becomes stale: there is a reading per period, or none
-        self._device, self._period, self._channels, self._receive = device, period, wanted, receive
+        self._device = device
+        self._period = period
+        self._channels = wanted
+        self._receive = receive
         self._requests = registers.joined(map(registers.span_of, wanted))
         self._cycles: deque[tuple[int, Values]] = deque(maxlen=3)  # older ones would be stale
-        self._trouble, self._handed = "", 0.0
+        self._trouble = ""
+        self._handed = 0.0
         self._thread = Background("modbus", self._run, 3 * _PATIENCE)
 
     def search(self, waited: float) -> None:  # noqa: ARG002 — a device that is there answers at once
@@ -241,7 +251,8 @@ def listing(url: str, where: str) -> Iterator[str]:
     Raises:
         TwinmatchError: URL or range cannot be used, or the device does not answer.
     """
-    device, span = ModbusDevice(url), registers.parse_range(where or "holding/0-49")
+    device = ModbusDevice(url)
+    span = registers.parse_range(where or "holding/0-49")
     try:
         yield from registers.described(_readable(device, *span), span)
     finally:

@@ -88,7 +88,8 @@ class Broker:
         for key in keys:
             if key not in (*_KEYS, *more):
                 raise BrokerError(f"{shown}: unknown key {key!r}; known are {', '.join((*_KEYS, *more))}")
-        named, user = keys.pop("password_file", ""), unquote(parts.username or "")
+        named = keys.pop("password_file", "")
+        user = unquote(parts.username or "")
         if named and not user:
             raise BrokerError(f"{shown}: a password without a user; write mqtt://USER@HOST")
         try:
@@ -133,7 +134,8 @@ class Broker:
         if will is not None:
             client.will_set(*will, qos=1, retain=True)
         client.reconnect_delay_set(1, 5)
-        first, answered = "", Event()
+        first = ""
+        answered = Event()
 
         def connect(_c: Client, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
             nonlocal first

@@ -41,7 +41,8 @@ class MqttSource:
             BrokerError: there is no connection.
         """
         self.kinds: Mapping[str, str] = {channel.topic: "" for channel in channels}
-        self._broker, self._receive = broker, receive
+        self._broker = broker
+        self._receive = receive
         self._arrived: deque[MQTTMessage] = deque(maxlen=_WAITING)
         self._amiss: dict[str, tuple[int, str]] = {}
         """Messages in a row of a topic without a number, and why the last had none."""

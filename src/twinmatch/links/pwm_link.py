@@ -144,7 +144,8 @@ def open_port(port: str, timeout: float) -> serial.Serial:
 
 _SHORT = 0.005
 """Wait for a reply of a board in step, s."""
-_FIRST_PAUSE, _MAX_PAUSE = 0.1, 2.0
+_FIRST_PAUSE = 0.1
+_MAX_PAUSE = 2.0
 """Pauses between attempts to reopen a lost port, s; each is twice the one before."""
 
 
@@ -238,7 +239,8 @@ class PwmLink:
                 raise
             if self._known_restarts not in (None, banner.restarts):
                 self.restarts += 1
-            self.banner, self._known_restarts = banner, banner.restarts
+            self.banner = banner
+            self._known_restarts = banner.restarts
             return banner
 
     def reopen(self, patience: float = 10.0) -> Banner:
@@ -248,7 +250,8 @@ class PwmLink:
             PwmVersionError: at once, since waiting does not help.
             PwmLinkError: the error of the last attempt.
         """
-        start, pause = time.monotonic(), _FIRST_PAUSE
+        start = time.monotonic()
+        pause = _FIRST_PAUSE
         while True:
             try:
                 return self.open()
@@ -361,7 +364,8 @@ class PwmLink:
         return None
 
     def _no_answer(self, verb: Verb) -> PwmLinkError:
-        talk, tries = self._talk, self.settings.retries + 1
+        talk = self._talk
+        tries = self.settings.retries + 1
         what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
         if talk.refused_line is not None:
             code = talk.refused_line.code

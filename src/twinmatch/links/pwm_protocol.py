@@ -82,7 +82,8 @@ class FrameReader:
         if self._line is None:
             return None
         if byte == ord("\n"):
-            line, self._line = bytes(self._line), None
+            line = bytes(self._line)
+            self._line = None
             return Damage.LENGTH if self._overflow else _open(line)
         if len(self._line) >= _ROOM:
             self._overflow = True
@@ -93,7 +94,8 @@ class FrameReader:
 
 def _open(line: bytes) -> bytes | Damage:
     line = line[:-1] if line.endswith(b"\r") else line
-    payload, tail = line[:-_TAIL], line[-_TAIL:]
+    payload = line[:-_TAIL]
+    tail = line[-_TAIL:]
     if not payload or not tail.startswith(b"*") or not all(0x20 <= byte <= 0x7E for byte in payload):
         return Damage.CHECKSUM
     if len(payload) > MAX_PAYLOAD:

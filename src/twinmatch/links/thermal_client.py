@@ -58,7 +58,8 @@ class StampMapper:
         """Time on our clock, ns, at which a frame stamped `stamp` and received at `received` was taken."""
         if self._stretch_start is None or received - self._stretch_start >= self._memory:
             self._stretch_start = received
-            self._previous, self._current = self._current, None
+            self._previous = self._current
+            self._current = None
         difference = received - stamp
         self._current = difference if self._current is None else min(self._current, difference)
         return stamp + min(self._current, self._current if self._previous is None else self._previous)
@@ -134,7 +135,8 @@ class LinkStatus:
     last_error: ThermalLinkError | None = None
 
 
-NO_COUNT, FULL_COUNT = 0, 65535
+NO_COUNT = 0
+FULL_COUNT = 65535
 """Counts at the ends of their range: they stand for no temperature."""
 
 

@@ -315,7 +315,8 @@ def _frame(value: object, raw: bytes) -> ThermalFrame:
 
 
 def _check_crc(crc: object, raw: bytes) -> None:
-    body, tail = raw[:-_CRC_LENGTH], raw[-_CRC_LENGTH:]
+    body = raw[:-_CRC_LENGTH]
+    tail = raw[-_CRC_LENGTH:]
     if crc != tail or not body.endswith(_CRC_KEY):
         msg = f"thermal frame: crc is {crc!r:.40}; it must be the frame's last {_CRC_LENGTH} bytes"
         raise FrameFieldError(msg)

@@ -130,7 +130,8 @@ class ParameterChange:
             text = f"since {self.since} the {self.words} is {self._amount(self.size)} {word} ({values})"
             return f"{text}; before and after it was steady"
         rate = math.expm1(math.log1p(self.size) / self.days) if self.relative else self.size / self.days
-        word, per = "rises" if self.size > 0 else "falls", "day" if self.dated else "session"
+        word = "rises" if self.size > 0 else "falls"
+        per = "day" if self.dated else "session"
         text = f"the {self.words} {word} by {self._amount(rate)} a {per}"
         return text + self._leaving(per)
 
@@ -171,7 +172,8 @@ class MemoryReport(NamedTuple):
     @property
     def sentence(self) -> str:
         """It in words."""
-        count, least = len(self.lessons), 2 * MIN_SIDE
+        count = len(self.lessons)
+        least = 2 * MIN_SIDE
         if count < least:
             return f"what changes shows from {least} sessions on, and only {count} can be compared"
         told = "; ".join(change.sentence for change in self.changes)
@@ -201,10 +203,8 @@ def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
 def shared_structure(lessons: Sequence[Lesson]) -> str:
     """The structure in which sessions are compared: the one that led in most of them, of equals the one with
     lessons from most; empty without lessons."""
-    count, led = (
-        Counter(one.structure for one in lessons),
-        Counter(one.structure for one in lessons if one.led),
-    )
+    count = Counter(one.structure for one in lessons)
+    led = Counter(one.structure for one in lessons if one.led)
     return max(count, key=lambda name: (led[name], count[name]), default="")
 
 
@@ -275,14 +275,16 @@ class _Fitted(NamedTuple):
 
 def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
     """Fit level + size · shape for shapes (K, n), integrated over level, size and spread."""
-    y, s = history.levels, history.deviations
+    y = history.levels
+    s = history.deviations
     spreads = _SPREADS * np.median(s)
     # Surroundings, whose zero is arbitrary, are expected to be others every session; properties are not.
     prior = np.zeros(_SPREADS.size) if history.scale else -2.0 * np.log1p(_SPREADS)
     prior -= np.log(np.exp(prior).sum())
     each = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
     logs = np.array([fitted.evidence for fitted in each]) + prior[:, None]
-    best, most = logs.argmax(axis=0), logs.max(axis=0)
+    best = logs.argmax(axis=0)
+    most = logs.max(axis=0)
     evidence = most + np.log(np.exp(logs - most).sum(axis=0))
     rest = (np.array(rows)[best, np.arange(len(shapes))] for rows in zip(*(f[1:] for f in each), strict=True))
     return _Fitted(evidence, *rest)
@@ -292,11 +294,15 @@ def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted
     """The same for one spread, by iteratively reweighted least squares."""
     weights = np.tile(1.0 / variances, (len(shapes), 1))
     for _ in range(_ROUNDS):
-        a, b, c = weights.sum(axis=1), (weights * shapes).sum(axis=1), (weights * shapes**2).sum(axis=1)
+        a = weights.sum(axis=1)
+        b = (weights * shapes).sum(axis=1)
+        c = (weights * shapes**2).sum(axis=1)
         c += 1.0 / _SIZE**2
         determinant = a * c - b**2
-        of_y, of_shape = weights @ y, (weights * shapes) @ y
-        level, size = (c * of_y - b * of_shape) / determinant, (a * of_shape - b * of_y) / determinant
+        of_y = weights @ y
+        of_shape = (weights * shapes) @ y
+        level = (c * of_y - b * of_shape) / determinant
+        size = (a * of_shape - b * of_y) / determinant
         squares = np.square(y - level[:, None] - size[:, None] * shapes) / variances
         weights = (_TAILS + 1.0) / (_TAILS + squares) / variances
     likelihood = -0.5 * ((_TAILS + 1.0) * np.log1p(squares / _TAILS) + np.log(variances)).sum(axis=1)
@@ -334,7 +340,8 @@ def _changes(
     # From the latest credible moment on the change is complete.
     place = int(np.flatnonzero(of_steps >= of_steps.max() - _CLOSE)[-1]) if is_step else len(steps)
     level, size, error = (float(of[place + 1]) for of in fitted[1:])
-    old, new = history.value(level), history.value(level + size)
+    old = history.value(level)
+    new = history.value(level + size)
     k = steps[place] if is_step else 0
     relative = not history.scale
     change = ParameterChange(

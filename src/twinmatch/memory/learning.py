@@ -87,7 +87,8 @@ def lessons_of(judged: SessionEvidence) -> list[Lesson]:
 
 
 def _worth_keeping(judged: SessionEvidence) -> list[Model]:
-    plant, verdicts = judged.plant, judged.before_fault
+    plant = judged.plant
+    verdicts = judged.before_fault
     names = [next(iter(plant.structures)), *(n for n, s in plant.structures.items() if s.watched)]
     names += [name for v in verdicts[-1:] if (name := v.structure)]
     names += [score.parameters.model.structure_name for v in verdicts if (score := v.leading) is not None]

@@ -72,7 +72,8 @@ class Lesson:
     """First sample of the first fault; None without one."""
 
     def __post_init__(self) -> None:
-        n, values = len(self.free), [v for row in self.covariance for v in row]
+        n = len(self.free)
+        values = [v for row in self.covariance for v in row]
         held = [*values, *self.parameters.values(), *(end for span in self.outputs for end in span)]
         if len(values) != n * n or not n or not self.parameters.keys() >= {*self.free}:
             self._refuse(f"{n} free parameters and {len(values)} covariances do not belong together")

@@ -58,7 +58,8 @@ def _remembered(lessons: Sequence[Lesson], model: Model) -> list[Candidate]:
     covariance = np.diag(np.square(spread))
     base = dict(lessons[-1].parameters) | dict(zip(free, centre.tolist(), strict=True))
     central = Candidate(CENTRE, float(np.median(levels)), model.parameters(**base), None, free, covariance)
-    places, twins = _apart((values - centre) / spread), []
+    places = _apart((values - centre) / spread)
+    twins = []
     names = [f"session {lessons[k].name}" for k in places]
     for number, (k, name) in enumerate(zip(places, names, strict=True)):
         again = names[:number].count(name)  # sessions may have one name

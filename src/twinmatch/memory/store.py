@@ -90,7 +90,8 @@ class Memory:
         rows = [_row_of(lesson) for lesson in lessons]
         if not rows:
             return 0
-        names, places = ", ".join(_COLUMNS), ", ".join("?" * len(_COLUMNS))
+        names = ", ".join(_COLUMNS)
+        places = ", ".join("?" * len(_COLUMNS))
         with self._opened(write=True, create=True) as database:
             before: int = database.total_changes
             database.executemany(f"INSERT OR IGNORE INTO lesson ({names}) VALUES ({places})", rows)  # noqa: S608
@@ -129,7 +130,8 @@ class Memory:
     def add_comparison(self, found: LawComparison) -> bool:
         """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
         is new."""
-        names, places = ", ".join(_COMPARED), ", ".join("?" * len(_COMPARED))
+        names = ", ".join(_COMPARED)
+        places = ", ".join("?" * len(_COMPARED))
         row = [_plain(getattr(found, name)) for name in _COMPARED]
         with self._opened(write=True, create=True) as database:
             query = f"INSERT OR IGNORE INTO comparison ({names}) VALUES ({places})"  # noqa: S608

@@ -141,7 +141,8 @@ class CameraBridge(TwinmatchNode):
     def read_parameters(self) -> None:
         """Derive the regions and the settings of the link."""
         values = self.values
-        self._roi, self._plate = _region_from(values, "roi"), _region_from(values, "plate")
+        self._roi = _region_from(values, "roi")
+        self._plate = _region_from(values, "plate")
         self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
         self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
         self._camera = ThermalClient(values["host"], values["port"], given_to(ClientSettings(), values))
@@ -165,8 +166,10 @@ class CameraBridge(TwinmatchNode):
 
     def report(self) -> Report:
         """State of the link, pace and age of the images, state of the camera."""
-        health, status = self.health, self._camera.status
-        frames, now = status.frames, time.monotonic()
+        health = self.health
+        status = self._camera.status
+        frames = status.frames
+        now = time.monotonic()
         rate = (frames - self._counted[0]) / (now - self._counted[1])
         self._counted = (frames, now)
         found = {
@@ -188,7 +191,9 @@ class CameraBridge(TwinmatchNode):
         return super().report()
 
     def _report_age(self) -> None:
-        health, newest, news = self.health, self._camera.newest(), self._camera.news()
+        health = self.health
+        newest = self._camera.newest()
+        news = self._camera.news()
         if newest is not None:
             frame = newest.frame
             state = "unknown" if frame.flat_field is None else frame.flat_field.name
@@ -230,7 +235,8 @@ class CameraBridge(TwinmatchNode):
     def _stamp(self, received: Received) -> int:
         """When the image was taken, on the ROS clock, ns."""
         clock = self.get_clock()
-        ros, wall = clock.now().nanoseconds, time.monotonic_ns()
+        ros = clock.now().nanoseconds
+        wall = time.monotonic_ns()
         if clock.ros_time_is_active and abs(ros - received.frame.stamp) < SAME_CLOCK:
             return received.frame.stamp  # a simulated camera stamps in simulated time
         return self._past.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
@@ -240,7 +246,8 @@ class CameraBridge(TwinmatchNode):
         if last is not None and 0 <= stamp - last < self._temperature_gap:
             return
         self._measured_at = stamp
-        found, plate = region(frame, self._roi), region(frame, self._plate)
+        found = region(frame, self._roi)
+        plate = region(frame, self._plate)
         header = Header(frame_id=self.values["plate_frame_id"], stamp=time_message(stamp))
         self._temperature.publish(Temperature(header=header, temperature=found.mean, variance=found.variance))
         self._uniformity.publish(Float64(data=plate.spread))
@@ -259,5 +266,6 @@ class CameraBridge(TwinmatchNode):
 
 
 def _region_from(values: dict[str, Any], name: str) -> Region:
-    column, row = values[f"{name}.x"], values[f"{name}.y"]
+    column = values[f"{name}.x"]
+    row = values[f"{name}.y"]
     return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])

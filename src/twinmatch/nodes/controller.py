@@ -64,8 +64,10 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
             f"plant {plant.name}: its file has no `loop`; only a plant with one can be controlled"
         )
     outputs = tuple(plant.outputs.values())
-    low, high = min(y.span[0] for y in outputs), max(y.span[1] for y in outputs)
-    unit, sources = joined_units(y.unit for y in outputs), ("profile", "topic")
+    low = min(y.span[0] for y in outputs)
+    high = max(y.span[1] for y in outputs)
+    unit = joined_units(y.unit for y in outputs)
+    sources = ("profile", "topic")
     levels = [_level(y, k + n) for k in range(len(_LEVELS)) for n, y in enumerate(outputs)]
     lowest = one_or_each([max(y.span[0], y.safe[0]) for y in outputs])
     highest = one_or_each([min(y.span[1], y.safe[1]) for y in outputs])
@@ -173,7 +175,8 @@ def _each(values: Mapping[str, Any], name: str) -> list[float]:
     Raises:
         ControlError: it does not have a value of each.
     """
-    given, outputs = values[f"profile.{name}"], find_plant(values["plant"]).outputs
+    given = values[f"profile.{name}"]
+    outputs = find_plant(values["plant"]).outputs
     each: list[float] = given if isinstance(given, list) else [given]
     if len(each) != len(outputs):
         raise ControlError(
@@ -294,7 +297,8 @@ class ControllerNode(TwinmatchNode):
         self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)
         self._commands = self.create_publisher(wiring.command_type, wiring.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        timeout, number = self.values["wait_timeout"], self.values["wait_for"]
+        timeout = self.values["wait_timeout"]
+        number = self.values["wait_for"]
         self._readers = Readers(self, self._samples.topic_name, timeout, number)
         kind = Float64 if self._single else Float64MultiArray
         if self._profiles is None:
@@ -368,7 +372,8 @@ class ControllerNode(TwinmatchNode):
         return True
 
     def _on_reading(self, message: Any) -> None:
-        now, stamp = self._now(), Time.from_msg(message.header.stamp).nanoseconds
+        now = self._now()
+        stamp = Time.from_msg(message.header.stamp).nanoseconds
         outputs = getattr(message, self._wiring.output)
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
@@ -377,7 +382,8 @@ class ControllerNode(TwinmatchNode):
 
     def _on_applied(self, message: Any) -> None:
         """While a fault holds or limits the drive, a sample with another input would blame the drive."""
-        loop, limited = self._loop, is_limit(message.fault)
+        loop = self._loop
+        limited = is_limit(message.fault)
         loop.held = bool(message.fault) and not limited
         if not limited:
             loop.limits = [math.inf] * len(loop.inputs)
@@ -391,7 +397,8 @@ class ControllerNode(TwinmatchNode):
         self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
 
     def _on_reference(self, message: Any) -> None:
-        given, outputs = point_values(message.data), self._plant.outputs
+        given = point_values(message.data)
+        outputs = self._plant.outputs
         if self._loop.trying:
             self.health.flag("set-point", Level.WARN, "set-point refused: a law is on trial, which holds it")
             return
@@ -553,7 +560,8 @@ class ControllerNode(TwinmatchNode):
 
     def _command(self, values: Sequence[float]) -> None:
         if self._commands is not None:
-            now, wiring = self._now(), self._wiring
+            now = self._now()
+            wiring = self._wiring
             sent = values[0] if wiring is PELTIER else list(values)
             message = wiring.command_type(index=self._index, **{wiring.input: sent})
             message.header.stamp = time_message(now)

@@ -62,7 +62,9 @@ class ForecastPublisher:
 
     def __init__(self, node: TwinNode, horizons: tuple[int, ...]) -> None:
         """Create the topics and the service; the forecasts shown have these horizons, in samples."""
-        self._node, self._health, self._horizons = node, node.health, horizons
+        self._node = node
+        self._health = node.health
+        self._horizons = horizons
         self.newest = Snapshot()
         """What questions are answered from."""
         self._leader: tuple[object, ...] = ()  # name and parameters

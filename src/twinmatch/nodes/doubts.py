@@ -43,7 +43,8 @@ class Doubts:
 
     def __init__(self, node: TwinmatchNode, tell: Tell) -> None:
         """Nothing is watched yet."""
-        self._node, self._tell = node, tell
+        self._node = node
+        self._tell = tell
         self._topics: dict[str, _Topic] = {}
         self._index = self._number = 0
 
@@ -74,7 +75,9 @@ class Doubts:
             if over or UNKNOWN not in topic.seen.values():
                 self._note(name, topic, str(self._index) if over else "")
             if over:
-                topic.since, topic.told, topic.seen = None, {}, self._publishers(name)
+                topic.since = None
+                topic.told = {}
+                topic.seen = self._publishers(name)
 
     def _note(self, name: str, topic: _Topic, last: str) -> None:
         if len(topic.names) < 2 or (len(topic.seen) < 2 and not last):

@@ -73,7 +73,8 @@ class Entrance:
     def __init__(self, node: Node, health: NodeHealth) -> None:
         """Parameters of any plant pass until `plant` is set."""
         self.plant: Expected = None
-        self._node, self._health = node, health
+        self._node = node
+        self._health = health
         self._told: dict[str, _Told] = {}
         self._senders: dict[str, tuple[float, str]] = {}
         self._seconds: dict[Any, SecondPublisher] = {}
@@ -177,7 +178,8 @@ class Entrance:
         told = self._told[kind]
         sender = self._sender(told.topic) if told.topic else ""
         if sender:
-            told.text, told.topic = f"{told.text} (published by {sender})", ""
+            told.text = f"{told.text} (published by {sender})"
+            told.topic = ""
         self._health.flag(kind, Level.ERROR, told.text)
 
     def _sender(self, topic: str) -> str:
@@ -219,7 +221,8 @@ class Course:
         self.second: Callable[[], bool] = lambda: False
         """Whether a second publisher is there or was since the last call; must know it before its message."""
         self.owned = owned
-        self._departs, self._publishers = departs, publishers
+        self._departs = departs
+        self._publishers = publishers
         self._before: Any = None
         self._at = 0.0
         self._owners: frozenset[bytes] = frozenset()
@@ -240,7 +243,8 @@ class Course:
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
-        self._before, self._at = message, now
+        self._before = message
+        self._at = now
         self._refused.clear()
 
     def _alone(self, now: float) -> bool:
@@ -304,5 +308,6 @@ def _refuse(request: Any, response: Any, why: str) -> Any:
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=why)
     elif hasattr(response, "message"):
-        response.success, response.message = False, printable(why)
+        response.success = False
+        response.message = printable(why)
     return response

@@ -102,7 +102,8 @@ def _rising(message: Any, name: str) -> None:
 
 def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
     """A number and the word of its constant."""
-    number, word = getattr(message, name), getattr(message, f"{name}_name")
+    number = getattr(message, name)
+    word = getattr(message, f"{name}_name")
     if word not in words or getattr(type(message), word.upper()) != number:
         given = f"{number} with the word {word[:40]!r}"
         raise MessageError(f"{name} is {given}; expected one of {', '.join(words)}")
@@ -130,7 +131,8 @@ def _check_sample(message: Any) -> None:
 
 def _check_signals(message: Any, plant: type[Plant]) -> None:
     """Whether a sample has the signals of a plant."""
-    lengths, outputs = [len(getattr(message, name)) for name in LOOP], len(plant.outputs)
+    lengths = [len(getattr(message, name)) for name in LOOP]
+    outputs = len(plant.outputs)
     expected = [outputs, outputs, len(plant.drives)]
     if lengths != expected:
         raise MessageError(
@@ -140,7 +142,8 @@ def _check_signals(message: Any, plant: type[Plant]) -> None:
 
 
 def _check_state(message: Any) -> None:
-    outputs, inputs = len(message.closed_output), len(message.closed_input)
+    outputs = len(message.closed_output)
+    inputs = len(message.closed_input)
     if not (len(message.reference) and outputs and inputs):
         raise MessageError("has no reference, no output or no input; a plant has at least one of each")
     for name in converted.STATE_FIGURES:
@@ -208,7 +211,8 @@ def _check_accepted(message: Any, size: int) -> None:
 
 
 def _check_verdict(message: Any) -> None:
-    candidates, names = len(message.candidates), [c.name for c in message.candidates]
+    candidates = len(message.candidates)
+    names = [c.name for c in message.candidates]
     modelled = sum(bool(c.orders) for c in message.candidates)
     _check_word(message, "level", LEVELS)
     _in_order(message)
@@ -371,7 +375,8 @@ def _sample_departs(before: Any, message: Any, _: float) -> str:
     if message.index - before.index > LEAP + max(0, elapsed) // MIN_PERIOD:
         return f"sample {message.index} came {elapsed / 1e9:g} s after sample {before.index}"
     for name in SAMPLED:
-        there, here = len(getattr(before, name)), len(getattr(message, name))
+        there = len(getattr(before, name))
+        here = len(getattr(message, name))
         if there != here:
             return f"it has {here} values of {name}; those before had {there}"
     return ""

@@ -54,7 +54,8 @@ def _fields_to_check(kind: Any) -> tuple[tuple[str, Test], ...]:
     """The fields of a type that have a check by their type or name, and that check."""
     tests: list[tuple[str, Test]] = []
     for name, text in kind.get_fields_and_field_types().items():
-        several, base = text.startswith("sequence<"), text.removeprefix("sequence<").rstrip(">").split(",")[0]
+        several = text.startswith("sequence<")
+        base = text.removeprefix("sequence<").rstrip(">").split(",")[0]
         if "/" in base and several:
             tests.append((name, _check_parts))
         elif "/" in base:
@@ -114,7 +115,8 @@ _structures: set[tuple[str, str]] = set()
 
 def _check_parameters(parameters: Any, name: str, plant: Expected) -> None:
     _check_texts((parameters.plant, parameters.structure, *parameters.names), name, plant)
-    names, values = parameters.names, parameters.values
+    names = parameters.names
+    values = parameters.values
     if len(names) != len(values) or len(parameters.units) not in (0, len(names)):
         msg = f"{name}: {len(names)} names with {len(values)} values; give one value for each name"
         raise MessageError(msg)

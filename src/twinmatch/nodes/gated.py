@@ -130,7 +130,8 @@ class OutputGate:
                 self._take(OutputGuard.command, values, stamp=stamp)
             except MessageError as error:
                 self.trip(FaultKind.COMMAND_INVALID, f"the command cannot be used: {error}")
-            self._index, self.commanded = index, stamp
+            self._index = index
+            self.commanded = stamp
 
     def temperature(self, celsius: Iterable[float] | float, stamp: int) -> None:
         """Take the temperatures measured at `stamp` (ns)."""
@@ -159,7 +160,8 @@ class OutputGate:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
         with self._news:
             now, _ = self._now()
-            clock, guards = self._safety_clock, self._guards
+            clock = self._safety_clock
+            guards = self._guards
             if clock.stopped:
                 if self.armed:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
@@ -279,7 +281,10 @@ class DriverThread(Background, ABC, Generic[Link]):
         """`tell` is called in the thread, which `start` starts."""
         super().__init__(self.NAME, self._serve_gate, self.CLOSING)
         self.link: Link = link
-        self._gate, self._tell, self._health, self._pace = gate, tell, health, pace or DriverPace()
+        self._gate = gate
+        self._tell = tell
+        self._health = health
+        self._pace = pace or DriverPace()
         self._clear_wanted = threading.Event()
         self._known = False  # whether the hardware has answered before
         self._driving = False  # whether the last command had passed the gate
@@ -328,7 +333,8 @@ class DriverThread(Background, ABC, Generic[Link]):
         try:
             if not self.link.is_open:
                 self._connect()
-                self._known, self._attempts = True, 0
+                self._known = True
+                self._attempts = 0
                 self._health.count("connections")
                 self._health.withdraw("link")
             if self._clear_wanted.is_set():
@@ -383,7 +389,8 @@ class GatedNode(TwinmatchNode):
 
     def read_parameters(self) -> None:
         """Create the gate."""
-        limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
+        limits = gate_limits(self.LIMITS, self.values)
+        clock = ClockLimits(self.values["clock_timeout"])
         self.gate = OutputGate(self._read_clocks, self.output_guards(limits), clock)
         self._accusations = Accusations(self.values["act_on"])
         self._reported_fault: GuardFault | None = None
@@ -426,7 +433,8 @@ class GatedNode(TwinmatchNode):
     def report(self) -> Report:
         """Fault, gate, clock, runaway watch."""
         self.note_fault()
-        health, armed = self.health, self.gate.armed
+        health = self.health
+        armed = self.gate.armed
         health.set("armed", armed)
         health.say("passing commands" if armed else "waiting for a fresh command and temperature")
         unwatched = armed and time.monotonic() - self._sampled_at > UNWATCHED
@@ -439,7 +447,8 @@ class GatedNode(TwinmatchNode):
 
     def note_fault(self) -> None:
         """Put a fault into the health report, and once into the log."""
-        fault, reported = self.gate.fault, self._reported_fault
+        fault = self.gate.fault
+        reported = self._reported_fault
         self._reported_fault = fault
         if fault is None:
             self.health.withdraw("fault")
@@ -450,7 +459,8 @@ class GatedNode(TwinmatchNode):
             self.get_logger().error(f"output is {'zero: ' if zero else ''}{fault_text(fault)}")
 
     def _read_clocks(self) -> ClockTimes:
-        stamps, wall = self.get_clock().now().nanoseconds, time.monotonic_ns()
+        stamps = self.get_clock().now().nanoseconds
+        wall = time.monotonic_ns()
         return ClockTimes(stamps, stamps if self.get_clock().ros_time_is_active else wall, wall)
 
     def _on_senders(self, why: str) -> None:
@@ -484,7 +494,8 @@ class GatedNode(TwinmatchNode):
     def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         fault = self.gate.fault
         if fault is None:
-            response.success, response.message = True, "there is no fault"
+            response.success = True
+            response.message = "there is no fault"
         elif not self._driver.connected:
             response.message = f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
         else:
@@ -500,7 +511,8 @@ class GatedNode(TwinmatchNode):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.gate.trip(FaultKind.STOPPED, "stopped on request; call clear_fault to continue")
         self.note_fault()
-        response.success, response.message = True, fault_text(self.gate.fault)
+        response.success = True
+        response.message = fault_text(self.gate.fault)
         return response
 
 

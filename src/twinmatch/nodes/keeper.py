@@ -67,7 +67,8 @@ class RunStore:
 
     def answer(self, request: Past.Request) -> Past.Response:
         """What was requested, as far as it fits: samples only up to the first about which there is more."""
-        answer, end = Past.Response(heard=self.samples.end), request.first + request.count
+        answer = Past.Response(heard=self.samples.end)
+        end = request.first + request.count
         for (kind, kept), name, known in zip(
             self.messages.items(), ("match", "score"), (request.matches, request.scores), strict=True
         ):

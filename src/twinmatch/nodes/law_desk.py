@@ -78,7 +78,8 @@ class LawDesk(Desk):
     def _on_request(self, request: TryLaw.Request, _: TryLaw.Response) -> TryLaw.Response:
         if why := self._against(request):
             return TryLaw.Response(success=False, message=why)
-        self._trying, self._request = True, request
+        self._trying = True
+        self._request = request
         self.put(partial(self._try, request))
         return TryLaw.Response(success=True, message="trying; twin/law has the answer")
 

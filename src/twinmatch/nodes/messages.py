@@ -174,7 +174,8 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     Raises:
         TwinmatchError: its window or its parameters cannot be used.
     """
-    start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
+    start = parameters_from(message.start)
+    incumbent = parameters_of(tree_of_message(message.incumbent))
     samples = len(message.output) // len(start.model.plant.outputs)
     signals = {}
     for name, field in SAMPLED.items():

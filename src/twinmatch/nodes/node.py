@@ -95,7 +95,10 @@ class Readers:
 
     def __init__(self, node: TwinmatchNode, topic: str, timeout: float, number: int = 0) -> None:
         """Wait for the nodes of the parameter `readers` and so many subscribers, `timeout` s at most."""
-        self._node, self._topic, self._timeout, self._number = node, topic, timeout, number
+        self._node = node
+        self._topic = topic
+        self._timeout = timeout
+        self._number = number
         self._names = set(node.values["readers"].split())
         self._until = time.monotonic() + timeout
         self.awaited = True
@@ -138,13 +141,15 @@ class Missed:
 
     def __init__(self, health: NodeHealth, subject: str = "") -> None:
         """`subject` precedes the message."""
-        self._health, self._subject = health, subject
+        self._health = health
+        self._subject = subject
         self._count = self._index = 0
 
     def watch(self, count: int, index: int) -> None:
         """Take the number of missed ticks so far and the newest index."""
         if count != self._count:
-            self._count, self._index = count, index
+            self._count = count
+            self._index = index
             text = f"{self._subject}ticks were missed, {count} in all; behind a long gap windows start over"
             self._health.flag("missed", Level.WARN, text)
         elif index - self._index > self.REMEMBER:
@@ -352,7 +357,8 @@ def _descriptor(parameter: Setting) -> ParameterDescriptor:
     text = f"{parameter.description} ({limits})" if limits else parameter.description
     constraint = "" if parameter.changeable else "read once, when the node starts"
     descriptor = ParameterDescriptor(description=text, additional_constraints=constraint)
-    low, high = parameter.low, parameter.high
+    low = parameter.low
+    high = parameter.high
     if math.isfinite(low) and math.isfinite(high):
         if type(parameter.default) is float:
             span = FloatingPointRange(from_value=float(low), to_value=float(high))

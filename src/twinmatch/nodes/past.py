@@ -66,7 +66,8 @@ class Stream:
         """Pass every sample on to `give`; what an answer holds besides samples goes to `learn` before."""
         self.missing: range | None = None
         """Indices of the samples to fetch now; live samples are held back until then."""
-        self._give, self._learn = give, learn
+        self._give = give
+        self._learn = learn
         self._known = [0, 0 if verdicts else NONE]  # matches and verdicts
         self._end = 0  # index of the newest sample passed on, plus one
         self._live: deque[Indexed] = deque()
@@ -168,7 +169,10 @@ class CatchingUp:
             waiting: returns the number of samples in the worker's queue.
             patience: time without progress after which what is missing is given up, wall s.
         """
-        self._node, self._stream, self._ready, self._waiting = node, stream, ready, waiting
+        self._node = node
+        self._stream = stream
+        self._ready = ready
+        self._waiting = waiting
         self._patience = patience
         self._client = node.create_client(Past, PAST)
         self._pending: Any = None  # future of the pending request
@@ -179,7 +183,8 @@ class CatchingUp:
 
     def request(self) -> None:
         """Request what is missing, unless a request is pending; give up when patience ends."""
-        wanted, now = self._stream.wanted(), time.monotonic()
+        wanted = self._stream.wanted()
+        now = time.monotonic()
         if wanted is None:
             self._since = None
             return
@@ -312,7 +317,8 @@ class RecorderPast:
         for name, messages in ((self._match, answer.match), (self._score, answer.score)):
             for message in messages:
                 self._copies.add(name, repr(message))
-                data, stamp = serialized(message), nanoseconds(message.header.stamp)
+                data = serialized(message)
+                stamp = nanoseconds(message.header.stamp)
                 self._hold(Kept(message.sample, name, data, stamp, live=False))
 
     def _hold(self, kept: Kept) -> None:

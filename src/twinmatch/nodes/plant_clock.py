@@ -37,7 +37,8 @@ class PlantClock(TwinmatchNode):
 
     def report(self) -> Report:
         """Whether time passes."""
-        still, why = self._stillness.seconds(), f" ({self._client.error})" if self._client.error else ""
+        still = self._stillness.seconds()
+        why = f" ({self._client.error})" if self._client.error else ""
         text = f"plant time has stood still for {still:.0f} s{why}"
         self.health.flag_if(still > 0, "still", Level.ERROR, text)
         self.health.set("set back", self._stillness.set_backs)

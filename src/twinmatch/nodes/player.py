@@ -198,7 +198,8 @@ class Player(TwinmatchNode):
             self._finish()
 
     def _wait_for_readers(self) -> bool:
-        timeout, number = self.values["wait_timeout"], self.values["wait_for"]
+        timeout = self.values["wait_timeout"]
+        number = self.values["wait_for"]
         readers = Readers(self, self._publishers_of[self._session.topic].topic_name, timeout, number)
         while lacking := readers.lacking:
             if readers.late:

@@ -75,7 +75,8 @@ class PwmDriver(DriverThread[PwmLink]):
         self._tell(self.link.command(0.0), 0)
 
     def _check_pace(self, banner: Banner) -> None:
-        deadline, link = banner.deadline_ms / 1000, self.link.settings
+        deadline = banner.deadline_ms / 1000
+        link = self.link.settings
         self._health.set("board deadline", f"{deadline:g} s")
         longest = link.timeout * (link.retries + 1) + self._pace.repeat
         if longest >= deadline:
@@ -108,7 +109,8 @@ class PwmDriver(DriverThread[PwmLink]):
             if not decision.armed:
                 return
         self._driving = True
-        self._sent, self._sent_at = decision.inputs[0], decision.time
+        self._sent = decision.inputs[0]
+        self._sent_at = decision.time
         applied = self.link.command(decision.inputs[0])
         self._tell(applied, decision.sample)
         if applied.pwm != round(decision.inputs[0]):
@@ -152,7 +154,8 @@ class PwmBridge(GatedNode):
 
     def open(self) -> None:
         """Subscribe, and start to search for the board."""
-        commands, temperatures = "plant/pwm_command", "plant/temperature"
+        commands = "plant/pwm_command"
+        temperatures = "plant/temperature"
         self.create_subscription(Temperature, temperatures, self._on_temperature, qos_profile_sensor_data)
         self.create_subscription(PwmCommand, commands, self._on_command, qos_profile_sensor_data)
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
@@ -180,7 +183,8 @@ class PwmBridge(GatedNode):
         if applied is None:
             self.health.set("applied", "unknown")
         else:
-            message.pwm, message.current = float(applied.pwm), applied.current
+            message.pwm = float(applied.pwm)
+            message.current = applied.current
             message.flags = int(applied.flags)
             self.health.set("applied", message.pwm)
             self.health.set("current", f"{applied.current:.2f} A")

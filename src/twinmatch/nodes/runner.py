@@ -108,7 +108,8 @@ def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
         all_ended = nodes.close()
     except Exception:
         traceback.print_exc()
-        all_ended, code = False, EXIT_DEFECT
+        all_ended = False
+        code = EXIT_DEFECT
     if not all_ended:  # a thread that continues would be torn down with the interpreter
         sys.stdout.flush()
         sys.stderr.flush()

@@ -45,7 +45,8 @@ class SamplerNode(TwinmatchNode):
 
     def open(self) -> None:
         """Start to search for the topics."""
-        listener, period = self._listener, self.values["period"]
+        listener = self._listener
+        period = self.values["period"]
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         listener.open(source_of(self.values) or partial(ForeignTopics, self, types=self._types))
         self._missed = Missed(self.health, "the loop paused: ")
@@ -66,7 +67,8 @@ class SamplerNode(TwinmatchNode):
 
     def report(self) -> Report:
         """Each signal's value and counts, and the reason if there are no samples."""
-        listener, sampler = self._listener, self._listener.sampler
+        listener = self._listener
+        sampler = self._listener.sampler
         level = Level.ERROR if self._index >= 0 or listener.late else Level.WARN
         simulated = self.get_parameter("use_sim_time").value
         for name in listener.channels:

@@ -59,7 +59,8 @@ class SampleWatch:
         self._since_gap += 1
         if self._since_gap > self._remember:
             self._health.withdraw("gap")
-        self.last, self._arrived = index, now
+        self.last = index
+        self._arrived = now
         self._health.set("sample", index)
 
     def check(self, now: float) -> None:
@@ -173,7 +174,8 @@ class SampleNode(TwinNode):
     def open(self) -> None:
         """Start the worker and subscribe to `plant/sample`."""
         super().open()
-        self._stream, self._connected = Stream(self._on_next, self.learn), False
+        self._stream = Stream(self._on_next, self.learn)
+        self._connected = False
         self._catching_up = CatchingUp(
             self, self._stream, ready=self._has_readers, waiting=lambda: self.worker.depth
         )

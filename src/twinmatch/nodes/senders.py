@@ -23,7 +23,8 @@ class Senders:
         self, node: TwinmatchNode, topics: Sequence[str], changed: Callable[[str], None] = lambda _: None
     ) -> None:
         """Look regularly; `changed` is called with what was found (empty: nothing) when that changes."""
-        self._node, self._changed = node, changed
+        self._node = node
+        self._changed = changed
         self._topics = [node.resolve_topic_name(topic) for topic in topics]
         self._found = ""
         node.wall_timer(LOOK, self._look)

@@ -29,14 +29,16 @@ LEAD: Final = 2_000_000_000
 """Plant time for which a process that commands nothing lets the plant continue, ns."""
 BREATH: Final = 5_000_000
 """Plant time that passes while the board is waited for, per wait, ns."""
-SOON, IDLE = 0.002, 0.2
+SOON = 0.002
+IDLE = 0.2
 """Intervals at which unfinished work is checked again, and a process without any, wall s."""
 
 
 class _Task:
     def __init__(self, period: int, call: Callable[[], None]) -> None:
         self.due = 0
-        self._period, self._call = period, call
+        self._period = period
+        self._call = call
 
     def run_if_due(self, now: int) -> None:
         """Do it if it is due; what was missed is not made up for."""
@@ -131,7 +133,8 @@ class InStep(Background):
                 self._until = self._sent = 0
                 for task in self._tasks:
                     task.due = 0
-            self._busy, self._now = True, now
+            self._busy = True
+            self._now = now
         for task in self._tasks:
             task.run_if_due(now)
         with self._lock:

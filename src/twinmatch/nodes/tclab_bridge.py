@@ -89,8 +89,11 @@ class KitDriver(DriverThread[KitLink]):
             heats = wanted != (0.0, 0.0)
             self._driving = self._driving or heats  # it may heat though its answer is lost
             reading = self.link.drive(*wanted)
-            self._sent, self._sent_at, self._said_at = wanted, decision.time, time.monotonic()
-            self._driving, self.connected = heats, True
+            self._sent = wanted
+            self._sent_at = decision.time
+            self._said_at = time.monotonic()
+            self._driving = heats
+            self.connected = True
             self._tell(reading, decision.sample)
         self._gate.wait(self._pace.poll)
 
@@ -136,7 +139,8 @@ class TCLabBridge(GatedNode):
         """Create the link and the gate."""
         self._plant = PLANTS[self.values["plant"]]
         super().read_parameters()
-        second, both = self.values["second"], self._plant is TCLabBoth
+        second = self.values["second"]
+        both = self._plant is TCLabBoth
         if both and second:
             raise ParameterError(f"{self.NAME}: second is {second:g} %, but plant tclab-both drives heater 2")
         self.gate.beside = () if both else (second,)
@@ -161,10 +165,13 @@ class TCLabBridge(GatedNode):
 
         Where one cools, it is a load on the other, which may need twice the time to get nearer.
         """
-        kit, budget = cls.PLANT.model(cls.STRUCTURE).typical(), limits.budget
+        kit = cls.PLANT.model(cls.STRUCTURE).typical()
+        budget = limits.budget
         weaker = {name: getattr(budget, name) / SECOND for name in ("hold", "least", "each")}
-        power, second = kit["heating"], SECOND * kit["heating"]
-        runaway, made = replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time), []
+        power = kit["heating"]
+        second = SECOND * kit["heating"]
+        runaway = replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time)
+        made = []
         for which, own, other, spent in (
             ("first", power, second, budget),
             ("second", second, power, replace(budget, **weaker)),
@@ -236,13 +243,15 @@ class TCLabBridge(GatedNode):
 
     def _tell(self, reading: KitReading | None, index: int) -> None:
         """Publish the kit's readings; called in the driver's thread."""
-        stamp, drives = self.get_clock().now(), len(self._plant.drives)
+        stamp = self.get_clock().now()
+        drives = len(self._plant.drives)
         applied = PlantApplied(sequence=index, input=[NAN] * drives)
         applied.header.stamp, applied.header.frame_id = stamp.to_msg(), self.values["frame_id"]
         if reading is None:
             self.health.set("applied", "unknown")
         else:
-            temperatures, powers = reading[:2], reading[2:]
+            temperatures = reading[:2]
+            powers = reading[2:]
             self.gate.temperature(temperatures[:drives], stamp.nanoseconds)
             message = PlantReading(
                 output=temperatures[:drives], taken=self._taken(), disturbances=powers[drives:]

@@ -77,7 +77,8 @@ def offered(endpoints: Sequence[Any]) -> Qos:
 
 def profile_of(qos: Qos, depth: int = DEPTH) -> QoSProfile:
     """The profile of this QoS with a queue of `depth` messages; by default a recorder's."""
-    reliable, latched = qos.reliability == "reliable", qos.durability == "transient_local"
+    reliable = qos.reliability == "reliable"
+    latched = qos.durability == "transient_local"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -132,7 +133,8 @@ class Following:
 
     def __init__(self, node: Node, **options: Any) -> None:
         """`options` are those of every subscription."""
-        self._node, self._options = node, options
+        self._node = node
+        self._options = options
         self._counted: dict[str, int] = {}
         self._readers: dict[str, tuple[QoSProfile, Any]] = {}
 

@@ -79,7 +79,8 @@ def channel_health(
         return None
     monitor = ChannelMonitor(plant.model(name).typical(), session.period)
     course: dict[str, list[tuple[int, float]]] = {}
-    unjudged, estimates = 0, list[EstimatedReading]()
+    unjudged = 0
+    estimates = list[EstimatedReading]()
     for done, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind

@@ -107,8 +107,10 @@ class Ground(NamedTuple):
     def seen_by(self, twin: TriedTwin) -> TriedTwin:
         """The twin with the noise of the recorded readings and what it does not explain of them; without the
         second where it does not follow the recording by its commands alone, as of an unstable plant."""
-        noise, period = self.noise, self.session.period
-        parts, mean = [np.zeros((0, noise.size))], round(SMOOTHED * plant_scale(self.plant, period) / period)
+        noise = self.noise
+        period = self.session.period
+        parts = [np.zeros((0, noise.size))]
+        mean = round(SMOOTHED * plant_scale(self.plant, period) / period)
         for window in stretches(self.session.samples, period):
             if len(window) > SKIPPED + mean:
                 run = simulate_window(twin.parameters, window, law=None)
@@ -125,7 +127,9 @@ class Ground(NamedTuple):
         seen = np.array([sample.outputs for sample in self.session.samples])
         notes = []
         for j, (name, output) in enumerate(self.plant.outputs.items()):
-            low, high, room = seen[:, j].min(), seen[:, j].max(), VISITED * output.noise
+            low = seen[:, j].min()
+            high = seen[:, j].max()
+            room = VISITED * output.noise
             asked = references[:, j].min(), references[:, j].max()
             if asked[0] < low - room or asked[1] > high + room:
                 notes.append(
@@ -175,7 +179,8 @@ def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTw
 def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     """Fits of the session's windows, each `WINDOW` time constants long, in the structures that explain the
     whole session best. What changes from window to window, such as the room, shows as their differences."""
-    session, plant = ground.session, ground.plant
+    session = ground.session
+    plant = ground.plant
     whole = stretches(session.samples, session.period)
     models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
     fits = [fit_session(model, whole) for model in models]
@@ -188,13 +193,15 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     kept = [fit.model for fit in fits if fit.charge <= best.charge + MAX_CHARGE]
     parts = [part for w in whole for part in in_parts(plant, w, WINDOW, otherwise=WINDOW * HOLD)]
     windows = [part for part in parts if len(part) >= MIN_WINDOW]
-    members, total = [], len(windows) * len(kept)
+    members = []
+    total = len(windows) * len(kept)
     for k, (model, window) in enumerate((model, window) for model in kept for window in windows):
         fit = fit_session(model, window)
         if watch is not None:
             watch(k + 1, total)
         if fit.converged:
-            free, name = model.structure.free, f"{model.structure_name}, {window.first} to {window.last}"
+            free = model.structure.free
+            name = f"{model.structure_name}, {window.first} to {window.last}"
             members.append(ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance)))
     return tuple(members)
 
@@ -209,7 +216,8 @@ def remembered(
         MemoryFaultError: the file is not a memory, or cannot be read.
         ControllerError: no session in it says anything of this plant.
     """
-    memory, name = Memory(path), ground.plant.name
+    memory = Memory(path)
+    name = ground.plant.name
     own = "" if apart is None else digest_of(apart.samples)
     found = start_from([each for each in memory.lessons(name, rig) if each.session != own], ground.plant)
     if not found and apart is None and not memory.comparisons(name, rig):
@@ -323,7 +331,8 @@ def stepped_profile(
             raise ControllerError(
                 f"--set {text}: give NAME=LEVEL@S, with S in seconds and NAME of {names}"
             ) from None
-    now, plan = level.copy(), {}
+    now = level.copy()
+    plan = {}
     for time, j, moved in sorted(rows):
         now = now.copy()
         now[j] = moved

@@ -65,11 +65,13 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
 
 def _gives(settings: TwinSettings, session: Session) -> bool:
     """Whether their law gives the recorded inputs of the first minutes, within the noise of the drives."""
-    law, (samples, *_) = settings.law, stretches(session.samples, session.period)
+    law = settings.law
+    samples, *_ = stretches(session.samples, session.period)
     if law is None or len(samples) <= _BEGINS:
         return True
     window = samples.part(samples.first, samples.first + min(len(samples), _SEEN) - 1)
-    state, off = law.state(window.part(window.first, window.first + _BEGINS - 1)), []
+    state = law.state(window.part(window.first, window.first + _BEGINS - 1))
+    off = []
     for k in range(SKIPPED, len(window)):
         references, outputs, inputs = (each[k] for each in (window.references, window.outputs, window.inputs))
         commands, _ = commands_of(law.code, state, references[None], outputs[None])

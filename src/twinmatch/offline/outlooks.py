@@ -75,11 +75,13 @@ def prospects(
     places = [place for place, sample in enumerate(session.samples) if sample.index in wanted]
     if not places:
         return {}
-    first, ends = places[0], places[-1] + 1
+    first = places[0]
+    ends = places[-1] + 1
     reach = first if whole else _WINDOWS * terms.settings.schedule.capacity
     while True:
         begin = max(first - reach, 0)
-        middle, taken = (begin + first) // 2, range(begin, ends)
+        middle = (begin + first) // 2
+        taken = range(begin, ends)
         found = _run(session, terms, taken, wanted, middle=middle, candidate=candidate, watch=watch)
         if found is not None:
             return found
@@ -98,8 +100,11 @@ def _run(
 ) -> dict[int, Prospect] | None:
     """Run the samples at these places through the twin; None if it has to begin earlier, since there is no
     candidate at the one in the `middle`, or not the one asked for at a wanted sample."""
-    samples, found, taught = session.samples, {}, list[Verdict]()
-    begin, ends = places.start, places.stop
+    samples = session.samples
+    found = {}
+    taught = list[Verdict]()
+    begin = places.start
+    ends = places.stop
     since = samples[begin].index if begin else None
     twin = Twin(terms.settings, terms.given, matching=terms.matching)
     with held_interrupts() as check_interrupt:
@@ -131,7 +136,8 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
     by_index = {sample.index: sample for sample in session.samples if sample.index in wanted}
     absent = sorted(wanted - by_index.keys())
     if absent:
-        first, last = session.samples[0].index, session.samples[-1].index
+        first = session.samples[0].index
+        last = session.samples[-1].index
         why = " without that one" if first < absent[0] < last else ""
         raise ForecastError(
             f"session {session.name}: has no sample {absent[0]} to forecast from; it has {first} to "
@@ -236,21 +242,26 @@ def ahead_of(
     closed = settings.law is not None
     signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
     kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
-    unit, place = f" {signal.unit}".rstrip(), "--hold"
-    profile, words = SetPoints.constant(standing), f"its {kind} of {standing:g}{unit} held"
+    unit = f" {signal.unit}".rstrip()
+    place = "--hold"
+    profile = SetPoints.constant(standing)
+    words = f"its {kind} of {standing:g}{unit} held"
     try:
         if rows is not None and reference is not None:
-            place, words = reference, f"{kind}s of {Path(reference).name}"
+            place = reference
+            words = f"{kind}s of {Path(reference).name}"
             profile = SetPoints.planned(rows, standing, signal=signal)
         elif hold is not None:
-            profile, words = SetPoints.constant(hold, signal), f"{hold:g}{unit} held"
+            profile = SetPoints.constant(hold, signal)
+            words = f"{hold:g}{unit} held"
     except ForecastError as error:
         raise ForecastError(f"{place}: {error}") from error
     return Ahead(profile.ahead(settings.period, size), words, profile.notes)
 
 
 def _recorded(session: Session, sample: Sample, size: int, settings: TwinSettings) -> Ahead:
-    period, closed = settings.period, settings.law is not None
+    period = settings.period
+    closed = settings.law is not None
     kind = "set-point" if closed else "input"
     stretch = next(
         part

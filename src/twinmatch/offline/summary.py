@@ -182,7 +182,9 @@ class Tally:
         """
         if self._first is None:
             self._first = max(0, min(verdict.first, verdict.sample))
-        sample, since, fault = max(verdict.sample, self._first), verdict.fault_since, verdict.named_fault
+        sample = max(verdict.sample, self._first)
+        since = verdict.fault_since
+        fault = verdict.named_fault
         now = LevelStretch(self._first, sample, verdict.level, fault)
         if not self.stretches:
             self.stretches.append(now)
@@ -224,7 +226,8 @@ def conclude(
     """Summarise a session with this sample time, s; `longest` returns its longest unbroken stretch and the
     number of stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
-    nominal, shown = nominal_score(last), shown_twin(last)
+    nominal = nominal_score(last)
+    shown = shown_twin(last)
     fits = None
     remarks = list(notes)
     if shown is not None:

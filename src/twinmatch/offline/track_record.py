@@ -73,12 +73,14 @@ class LawThatRan:
     @property
     def faulty(self) -> bool:
         """Whether the session, judged by itself, shows a fault; without verdicts it does not."""
-        session, terms = self.ground.session, self.ground.terms
+        session = self.ground.session
+        terms = self.ground.terms
         return terms is not None and any(verdict.fault for verdict in judge(session, terms).verdicts)
 
     def question(self, holding: Holding, draws: int) -> ControllerQuestion:
         """The law over the set-points of the session, from its beginning."""
-        references, state = self._rows[0], None if self._rests else self._ran.state
+        references = self._rows[0]
+        state = None if self._rests else self._ran.state
         return ControllerQuestion(self._acting, references, references[0], holding, draws, state=state)
 
     @property
@@ -91,7 +93,8 @@ class LawThatRan:
         """The twins where the session begins: at rest at its set-points, or at its first readings."""
         if self._rests:
             return [replace(twin, states=None) for twin in twins]
-        y, u = self._rows[1][0], self._rows[2][0]
+        y = self._rows[1][0]
+        u = self._rows[2][0]
         return [replace(twin, states=begin(twin.parameters, y), inputs=u) for twin in twins]
 
     def comparison(self, answer: ControllerAnswer, learned: Sequence[Ground], rig: str) -> LawComparison:

@@ -127,7 +127,8 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
     prefix = prefix_of(session)
     stamps = judgement.stamps  # a verdict may be due at a lost sample
-    matches, scores = _once(_records_of(session, prefix + MATCHES)), _records_of(session, prefix + SCORES)
+    matches = _once(_records_of(session, prefix + MATCHES))
+    scores = _records_of(session, prefix + SCORES)
     computed_matches = [_compute(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_compute(v, stamps[v.sample]) for v in judgement.verdicts]
     comparison = _Comparison(session.samples[-1])
@@ -209,7 +210,8 @@ class _Comparison:
 
     def _at_the_end(self, tree: Tree) -> bool:
         """Whether the session may have ended before this could be published."""
-        samples, seconds = self._last.index - tree["sample"], (self._last.stamp - tree["stamp"]) / 1e9
+        samples = self._last.index - tree["sample"]
+        seconds = (self._last.stamp - tree["stamp"]) / 1e9
         return bool(min(samples, seconds) < AT_THE_END)
 
 
@@ -233,7 +235,8 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     """
     able = [name for name, held in plant.structures.items() if held.external and not held.external.lost]
     then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
-    missing, more = [s for s in then if s not in now], [s for s in now if s not in then]
+    missing = [s for s in then if s not in now]
+    more = [s for s in now if s not in then]
     if missing:
         other = [s for s in more if unmarked(s) == unmarked(missing[0])]
         what = f"; the one given, {other[0]!r}, is another FMU or has another map" if other else ""

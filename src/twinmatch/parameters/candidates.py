@@ -108,7 +108,8 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
         free, covariance = _spread(own.deviations, parameters)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
-    values, outputs = np.atleast_1d(own.operating_point).tolist(), parameters.model.plant.outputs
+    values = np.atleast_1d(own.operating_point).tolist()
+    outputs = parameters.model.plant.outputs
     if len(values) != len(outputs):
         raise CandidateFileError(
             f"{place}: operating_point has {len(values)} values; give one for each of {', '.join(outputs)}"

@@ -53,7 +53,8 @@ class Setting:
         """Unit and range as a user reads them, such as `°C, 0 to 100`; empty when there is neither."""
         if self.choices:
             return "one of: " + ("; " if any("," in c for c in self.choices) else ", ").join(self.choices)
-        low, high = f"{self.low:g}", f"{self.high:g}"
+        low = f"{self.low:g}"
+        high = f"{self.high:g}"
         span = f"{low} to {high}"
         if math.isinf(self.high):
             span = "" if math.isinf(self.low) else f"at least {low}"

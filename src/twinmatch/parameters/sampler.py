@@ -35,12 +35,15 @@ _SLACK: Final = 1e-9
 def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
     """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
-    signals, step, loop = signals_of(plant), period or usual, LoopNames.of(plant)
+    signals = signals_of(plant)
+    step = period or usual
+    loop = LoopNames.of(plant)
     ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys((*loop.outputs, *loop.inputs), _PERIODS)
     pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
     types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
     wait = "Longest wait for topics of ROS without publisher; 0: for ever."
-    maps, limits = [], []
+    maps = []
+    limits = []
     for name, known in signals.items():
         unit = f", in {known.unit}" if known.unit else ""
         optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
@@ -74,7 +77,8 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
         plant = find_plant(str(given.get("plant", Peltier.name)))
     except PlantError as error:
         raise ParameterError(f"{place}: {error}") from error
-    called, used = signal_called(plant), dict[str, str]()
+    called = signal_called(plant)
+    used = dict[str, str]()
     for name in given:
         kind, _, signal = name.partition(".")
         own = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
@@ -96,7 +100,9 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
         TwinmatchError: a map entry cannot be parsed, or that of an output, an input or one of several
             set-points is missing.
     """
-    sources, plant, parse = {}, find_plant(values["plant"]), _parse_of(values)
+    sources = {}
+    plant = find_plant(values["plant"])
+    parse = _parse_of(values)
     for name in signals_of(plant):
         text = values[f"map.{name}"]
         if text.strip():
@@ -120,10 +126,12 @@ def _parse_of(values: Mapping[str, Any]) -> Callable[[str], Channel]:
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
     """The limits of each mapped signal."""
     plant = find_plant(values["plant"])
-    known, outputs = signals_of(plant), LoopNames.of(plant).outputs
+    known = signals_of(plant)
+    outputs = LoopNames.of(plant).outputs
 
     def limits(name: str) -> Limits:
-        low, high = known[name].low, known[name].high
+        low = known[name].low
+        high = known[name].high
         slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
         return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name in outputs)
 
@@ -152,7 +160,9 @@ def listener_of(place: str, values: Mapping[str, Any], now: Callable[[], int]) -
     Raises:
         TwinmatchError: they contradict each other.
     """
-    plant, sources, pacer = find_plant(values["plant"]), sources_of(place, values), values["paced_by"]
+    plant = find_plant(values["plant"])
+    sources = sources_of(place, values)
+    pacer = values["paced_by"]
     if pacer not in (*sources, TIMER):
         msg = f"{place}: paced_by is {pacer}, but map.{pacer} is missing; add it, or change paced_by"
         raise SamplingError(msg)

@@ -73,7 +73,8 @@ def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> t
     if not pids:
         return (period,)
     drives = plant.drives.values()
-    u, y = (joined_units(map(unit_of, drives)), joined_units(each.unit for each in plant.outputs.values()))
+    u = joined_units(map(unit_of, drives))
+    y = joined_units(each.unit for each in plant.outputs.values())
     lows, highs = zip(*(drive.limits for drive in drives), strict=True)
 
     def gain(name: str, text: str, unit: str = "", span: tuple[float, float] | None = None) -> Setting:
@@ -110,7 +111,8 @@ def running_law(values: Mapping[str, Any], usual: Law | None) -> Law | None:
     Raises:
         ParameterError: a list of gains does not have one for each loop.
     """
-    gains, count = group(values, "pid."), len(pids_of(usual))
+    gains = group(values, "pid.")
+    count = len(pids_of(usual))
     if count == 0:
         return usual
     if count == 1:
@@ -265,7 +267,8 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     """Settings from checked parameter values."""
-    plant, period = find_plant(values["plant"]), values["period"]
+    plant = find_plant(values["plant"])
+    period = values["period"]
     scale = values["schedule.scale"]
     usual = TwinSettings.of(plant, values["structure"], period, closing_of(values), scale)
     forecasts = group(values, "forecasts.")
@@ -320,7 +323,8 @@ def values_of(settings: TwinSettings) -> Values:
 
 def table_of(settings: TwinSettings) -> tuple[Setting, ...]:
     """The parameters of the twin with the defaults for these settings."""
-    model, closing = settings.start.model, FROM_PLANT_FILE if settings.law is not None else None
+    model = settings.start.model
+    closing = FROM_PLANT_FILE if settings.law is not None else None
     return twin_table(model.plant, model.structure_name, closing, settings.period, settings.schedule.scale)
 
 
@@ -366,13 +370,15 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but that of the samples is {period:g} s"
         raise TwinError(msg)
-    model, closing = settings.start.model, FROM_PLANT_FILE if settings.law is not None else None
+    model = settings.start.model
+    closing = FROM_PLANT_FILE if settings.law is not None else None
     return TwinSettings.of(model.plant, model.structure_name, period, closing)
 
 
 def _by_sample_time(period: float) -> Values:
     """What earlier versions did not record; horizons followed the sample time, s."""
-    scale, usual = time_scale(period), ForecastSettings()
+    scale = time_scale(period)
+    usual = ForecastSettings()
     return {
         "schedule.gap": ScheduleSettings.gap,
         "forecasts.horizons": [horizon * scale for horizon in usual.horizons],
@@ -382,7 +388,8 @@ def _by_sample_time(period: float) -> Values:
 
 
 def _plant(model: Model) -> tuple[Setting, ...]:
-    plant, structure = model.plant, model.structure
+    plant = model.plant
+    structure = model.structure
     starts = tuple(
         Setting(
             f"start.{name}",

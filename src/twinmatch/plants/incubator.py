@@ -20,7 +20,9 @@ from typing import Final
 
 from twinmatch.dynamics import Disturbance, Drive, Equations, Output, Parameter, Plant, State, Structure
 
-_BED, _BOX, _LAG = "heat bed", "box with mass", "sensor lag"
+_BED = "heat bed"
+_BOX = "box with mass"
+_LAG = "sensor lag"
 _AIR: Final = ("bed_heat_capacity", "bed_conductance", "box_conductance")
 _HEAVY: Final = (*_AIR, "box_heat_capacity")
 
@@ -138,7 +140,8 @@ class Incubator(Plant, name="incubator"):
     def equations(self, parts: frozenset[str]) -> Equations:
         """Heat goes from the bed to the air, from the air to the box, from the box to the room."""
         power = self.power * self.heater
-        rates, start = {}, {self.air: self.temperature}
+        rates = {}
+        start = {self.air: self.temperature}
         given = power
         if _BED in parts:
             given = self.bed_conductance * (self.bed - self.air)

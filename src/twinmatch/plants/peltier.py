@@ -38,7 +38,9 @@ SEEBECK_REFERENCE: Final = 298.15
 COUNTS: Final = 255.0
 """PWM counts of a duty cycle of one."""
 
-_MASS, _LAG, _SLOPE = "sink with mass", "sensor lag", "α(T)"
+_MASS = "sink with mass"
+_LAG = "sensor lag"
+_SLOPE = "α(T)"
 
 _PLATE: Final = ("seebeck", "conductance", "heat_capacity")
 _ROOM: Final = (*_PLATE, "ambient")
@@ -187,7 +189,8 @@ class Peltier(Plant, name="peltier"):
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """The domains in the order of the power flow; temperatures in kelvin, heat drawn positive."""
-        plate, sink = self.plate, (self.sink if _MASS in parts else self.ambient)
+        plate = self.plate
+        sink = self.sink if _MASS in parts else self.ambient
         slope = self.seebeck_slope if _SLOPE in parts else 0
         seebeck = self.seebeck + slope * ((plate + sink) / 2 - SEEBECK_REFERENCE)
 

@@ -51,7 +51,10 @@ _STEFAN_BOLTZMANN: Final = 5.670374e-8
 RESOLUTION: Final = 0.3223
 """Step of a reading, °C: 3.3 V in 1024 steps, 10 mV per degree."""
 
-_LAG, _RADIATION, _NEIGHBOUR, _DEAD = "sensor lag", "radiation", "neighbour", "dead time"
+_LAG = "sensor lag"
+_RADIATION = "radiation"
+_NEIGHBOUR = "neighbour"
+_DEAD = "dead time"
 
 _HEATER: Final = ("losses", "heating", "ambient")
 _LAGGED: Final = (*_HEATER, "sensor_lag")
@@ -164,7 +167,8 @@ class TCLab(Plant, name="tclab"):
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """Heat into each heater, W; temperatures in kelvin."""
-        heater, neighbour = self.heater, self.neighbour
+        heater = self.heater
+        neighbour = self.neighbour
         reading = self.temperature + KELVIN
 
         def gained(own: Any, other: Any, area: float, convection: Any) -> Any:
@@ -240,7 +244,8 @@ class TCLabBoth(TCLab, name="tclab-both"):
         """Those of heater 1 with its neighbour, which has a sensor here."""
         one = super().equations(parts | {_NEIGHBOUR})
         reading = self.second_temperature + KELVIN
-        rates, start = {**one.rates}, {**one.start, self.neighbour: reading}
+        rates = {**one.rates}
+        start = {**one.start, self.neighbour: reading}
         seen = self.neighbour
         if _DEAD in parts:
             arrives = self.second_acting.after(self.second, self.dead_time)

@@ -92,8 +92,10 @@ def values_name(name: str) -> str:
 
 def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     kind, optional = _unless_none(hint)
-    origin, inside = get_origin(kind), get_args(kind)
-    form, prefix = None, ""
+    origin = get_origin(kind)
+    inside = get_args(kind)
+    form = None
+    prefix = ""
     if hint == OperatingPoint:
         form = Form.POINT
     elif kind in (bool, int, float, str):
@@ -101,9 +103,11 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     elif kind is Parameters:
         form = Form.PARAMETERS
     elif origin is np.ndarray:
-        form, kind = Form.ARRAY, float
+        form = Form.ARRAY
+        kind = float
     elif origin is tuple and inside == (int, int):
-        form, kind = Form.SPAN, int
+        form = Form.SPAN
+        kind = int
     elif origin is tuple and inside[1:] == (...,):
         form, kind = _several(inside[0])
     elif inside == (str, float):
@@ -111,7 +115,8 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     elif isinstance(kind, type) and issubclass(kind, Enum):
         form = Form.WORD
     elif _is_named_tuple(kind):
-        form, prefix = Form.INLINE, f"{name}_"
+        form = Form.INLINE
+        prefix = f"{name}_"
     elif dataclasses.is_dataclass(kind):
         form = Form.INLINE if _is_named_tuple(owner) else Form.PART
     if form is None:

@@ -142,7 +142,8 @@ _WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
 
 
 def _read_plain(field: RecordField, tree: Tree) -> Any:
-    value, kind = tree[field.name], field.kind
+    value = tree[field.name]
+    kind = field.kind
     absent = math.isnan(value) if kind is float else value == _ABSENT[kind]
     return None if field.optional and absent else kind(value)
 
@@ -208,7 +209,8 @@ _SHOWN: Final[dict[Form, Callable[[Any], Any]]] = {
 
 def _entries(field: RecordField, value: Any) -> dict[str, Any]:
     """The entries of a document that a field makes."""
-    name, form = field.name, field.form
+    name = field.name
+    form = field.form
     if value is None:
         return {name: None}
     if form is Form.SPAN:

@@ -45,7 +45,8 @@ class HeatBudget:
     def __init__(self, limits: BudgetLimits | None = None, thing: str = "plate", unit: str = "PWM") -> None:
         """Start full; `thing` names what is driven, `unit` is that of the drive, for messages."""
         self.limits = limits or BudgetLimits()
-        self._thing, self._unit = thing, unit
+        self._thing = thing
+        self._unit = unit
         self.spent = 0.0
         """What the readings have not explained, in the drive's unit times s."""
 

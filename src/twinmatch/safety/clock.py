@@ -52,7 +52,8 @@ class SafetyClock:
             self._now += max(0, plant - self._plant)
         self._plant = plant
         if self._now - self._mark >= self.limits.progress * NANOSECONDS:
-            self._mark, self._seen = self._now, wall
+            self._mark = self._now
+            self._seen = wall
         if self._seen is not None:
             self.standing = (wall - self._seen) / NANOSECONDS
         return self._now / NANOSECONDS

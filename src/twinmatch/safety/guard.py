@@ -96,7 +96,8 @@ class GuardLimits:
         timeouts = {n: getattr(self, n) for n in ("command_timeout", "temperature_timeout")}
         within_a_minute("guard", **timeouts)
         if not self.lowest < self.highest:
-            low, high = f"{self.lowest} {self.unit}", f"{self.highest} {self.unit}"
+            low = f"{self.lowest} {self.unit}"
+            high = f"{self.highest} {self.unit}"
             raise SafetyError(f"guard limits: lowest {low} must be below highest {high}")
 
 
@@ -130,7 +131,8 @@ class OutputGuard:
         self._observer = observer
         self.fault = self.limited = None
         self._reference = self.limits.highest  # before anybody says what is wanted
-        self.passed, self._passed_at = 0.0, math.nan
+        self.passed = 0.0
+        self._passed_at = math.nan
         self._held = False
         self.clear()
 
@@ -156,7 +158,8 @@ class OutputGuard:
         One that the plant cannot have reached since the one before is not taken: a sensor that failed, or a
         forged reading, which is dangerous if it is cold. If the readings do not come back, that is a fault.
         """
-        limits, before = self.limits, self._temperature
+        limits = self.limits
+        before = self._temperature
         if self.fault is not None:
             return
         state = f"the {limits.thing} is at {celsius:.1f} {limits.unit}"
@@ -208,14 +211,16 @@ class OutputGuard:
         `beside` are the disturbances, shape (d,), that go with commands that pass, such as a second heater.
         """
         self._judge_heat(now, beside if self._armed else None)
-        self.passed, self._passed_at = self._limit(self._decide(now), now), now
+        self.passed = self._limit(self._decide(now), now)
+        self._passed_at = now
         return self.passed
 
     def _limit(self, value: float, now: float) -> float:
         """What of a command may pass. Once it was limited it is called so until all drive may pass."""
         if self._observer is None:
             return value
-        ceiling, reading = self._observer.ceiling, self._temperature.value
+        ceiling = self._observer.ceiling
+        reading = self._temperature.value
         most = ceiling.share * self.limits.commands[1]
         if ceiling.share >= 1.0:
             self.limited = None
@@ -229,7 +234,8 @@ class OutputGuard:
 
     def _judge_heat(self, now: float, beside: FloatArray | None) -> None:
         """Judge what has passed since the last decision, by what the sensor shows of it."""
-        elapsed, reading = now - self._passed_at, self._temperature.value
+        elapsed = now - self._passed_at
+        reading = self._temperature.value
         if not (elapsed > 0.0 and self._temperature.known):
             return
         # Without a new decision the board has gone to zero.
@@ -251,8 +257,10 @@ class OutputGuard:
     def _decide(self, now: float) -> float:
         if self.fault is not None:
             return 0.0
-        silence, age = self._command.age(now), self._temperature.age(now)
-        silent, stale = silence > self.limits.command_timeout, age > self.limits.temperature_timeout
+        silence = self._command.age(now)
+        age = self._temperature.age(now)
+        silent = silence > self.limits.command_timeout
+        stale = age > self.limits.temperature_timeout
         if self._armed and silent:
             message = f"no command for {silence:.1f} s; is the controller running?"
             self.trip(FaultKind.COMMAND_SILENT, message, now)

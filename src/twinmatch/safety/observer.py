@@ -124,7 +124,10 @@ class DriveObserver:
         """Output to which the drive has taken the plant, in its unit; NaN before the first comparison."""
         self._measured = self.limits.measured()
         typical = _with_measured(typical, self._measured)
-        self._typical, self._thing, self._sensor, self._highest = typical, thing, sensor, highest
+        self._typical = typical
+        self._thing = thing
+        self._sensor = sensor
+        self._highest = highest
         self._unit = typical.model.plant.output.unit
         self._sides = list(_either_side(typical, self.limits.spread))
         # Loading the compiled step takes a quarter of a second: too long while a drive is waited for.
@@ -162,7 +165,9 @@ class DriveObserver:
 
     def hotter(self, reading: float) -> str:
         """Why no more drive passes than the ceiling allows."""
-        unit, thing, sensor = self._unit, self._thing, self._sensor
+        unit = self._unit
+        thing = self._thing
+        sensor = self._sensor
         return (
             f"by its drive the {thing} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} reads "
             f"{reading:.1f} {unit}: no more drive passes than holds it there; measure the {thing} with "
@@ -184,7 +189,8 @@ class DriveObserver:
                 moved[place] += side * model.declared_states[place].scale
                 self._twins.append(self._typical)
                 states.append(moved)
-        self._states, self._outputs = np.array(states), np.full(len(states), reading)
+        self._states = np.array(states)
+        self._outputs = np.full(len(states), reading)
         self._z = Likeness(np.ones(len(states) // 2))
         self._deviations = self._how_plants_differ(len(states) // 2)
         self._surroundings = self._how_surroundings_change(len(states) // 2)
@@ -276,7 +282,9 @@ class DriveObserver:
 
     def contradicts(self, reading: float, estimate: float, band: float) -> str:
         """What a reading outside the band about an estimate says."""
-        unit, thing, sensor = self._unit, self._thing, self._sensor
+        unit = self._unit
+        thing = self._thing
+        sensor = self._sensor
         other = ", something else heats it" if reading > estimate else ""
         return (
             f"by its drive the {thing} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} reads "
@@ -305,7 +313,8 @@ def _either_side(typical: Parameters, spread: float) -> list[tuple[Parameters, P
     """For each free parameter, the plant with it below and above its typical value, within its bounds."""
     pairs = []
     for name in typical.model.structure.free:
-        declared, value = typical.model.declared[name], typical[name]
+        declared = typical.model.declared[name]
+        value = typical[name]
         low, high = declared.bounds
 
         step = spread * declared.scale

@@ -36,7 +36,8 @@ class Runaway:
 
     def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate", unit: str = "°C") -> None:
         """Start without history; `thing` names what is driven, `unit` is that of its output, for messages."""
-        self._thing, self._unit = thing, unit
+        self._thing = thing
+        self._unit = unit
         self.limits = limits or RunawayLimits()
         self.reset()
 
@@ -60,7 +61,8 @@ class Runaway:
         elapsed = 0.0 if self._time is None else now - self._time
         new_task = heating != self._heating or abs(reference - self._reference) >= self.limits.gain
         if self._time is None or elapsed < 0 or new_task:
-            self._heating, self._reference = heating, reference
+            self._heating = heating
+            self._reference = reference
             self._start(now, distance)
             elapsed = 0.0
         self._time = now
@@ -68,7 +70,8 @@ class Runaway:
         pushing = drive >= limits.full_drive if heating else drive <= -limits.full_drive
         self._nearest_at_full = min(self._nearest_at_full, distance) if pushing else math.inf
         if pushing and distance - self._nearest_at_full >= limits.wrong_way:
-            word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
+            word = "heating" if heating else "cooling"
+            away = distance - self._nearest_at_full
             return (
                 f"at full {word} the {self._thing} moved {away:.1f} {self._unit} away from the set-point; "
                 "check drive, polarity and sensor"
@@ -93,7 +96,8 @@ class Runaway:
         if self._unexplained < limits.patience:
             return None
         word = "heating" if self._heating else "cooling"
-        far, closer = f"{distance:.1f} {self._unit}", f"{limits.gain:g} {self._unit}"
+        far = f"{distance:.1f} {self._unit}"
+        closer = f"{limits.gain:g} {self._unit}"
         return (
             f"{word} the {self._thing} makes no progress: {far} from the set-point, and less than {closer} "
             f"closer in {limits.gain_time:g} s; check drive, fan and sensor"

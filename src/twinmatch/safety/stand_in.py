@@ -30,9 +30,12 @@ class StandIn:
 
     def __init__(self, name: str, highest: float, unit: str) -> None:
         """Begin with a sensor that is believed; `highest` is the guard's limit, which holds for estimates."""
-        self._name, self._highest, self._unit = name, highest, unit
+        self._name = name
+        self._highest = highest
+        self._unit = unit
         self._since = math.nan
-        self._newest, self._poor = (-math.inf, math.nan), ""
+        self._newest = (-math.inf, math.nan)
+        self._poor = ""
 
     @property
     def accused(self) -> bool:

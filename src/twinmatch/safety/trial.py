@@ -121,19 +121,22 @@ class LawTrial:
     def take_back(self, reason: str) -> None:
         """The law before drives again."""
         if self.phase is not TrialPhase.BACK:
-            self.phase, self.reason = TrialPhase.BACK, reason
+            self.phase = TrialPhase.BACK
+            self.reason = reason
 
     def push(self, outputs: Sequence[float]) -> TrialPhase:
         """Take the readings of a sample; they count while the law drives within its bands."""
         self._done += 1
         if self.phase is TrialPhase.SHADOW and self._done >= self._bands.shadow:
-            self.phase, self._done = TrialPhase.DRIVING, 0
+            self.phase = TrialPhase.DRIVING
+            self._done = 0
         elif self.phase is TrialPhase.DRIVING:
             self._judge(np.array(outputs, dtype=np.float64))
         return self.phase
 
     def _judge(self, outputs: FloatArray) -> None:
-        k, bands = self._done - 1, self._bands
+        k = self._done - 1
+        bands = self._bands
         inside = (bands.low[k] <= outputs) & (outputs <= bands.high[k])
         self._missed = max(self._missed + (-1 if inside.all() else 1), 0)
         if self._missed >= bands.patience:

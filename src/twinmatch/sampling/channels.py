@@ -116,7 +116,9 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     """
     if not path:
         return _only(kind, fields_of)
-    field, done, named = Field(kind), "", False
+    field = Field(kind)
+    done = ""
+    named = False
     for step in steps(path):
         if isinstance(step, int | Label):
             if not field.array:
@@ -126,7 +128,8 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
                 raise SamplingError(msg)
             if isinstance(step, int) and field.length is not None and step >= field.length:
                 raise SamplingError(f"{kind}: {done} has {field.length} values, counted from 0")
-            field, done = Field(field.kind), f"{done}[{step}]"
+            field = Field(field.kind)
+            done = f"{done}[{step}]"
             continue
         if field.array:
             raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0].{step}")
@@ -135,7 +138,8 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
             where = f"{kind}: {done} has" if done else f"{kind} has"
             raise SamplingError(f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}")
         named = named or any(known[n].array and known[n].kind in TEXTS for n in _NAMES if n in known)
-        field, done = known[step], f"{done}.{step}" if done else step
+        field = known[step]
+        done = f"{done}.{step}" if done else step
     if field.array:
         raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
     if field.kind in TEXTS:
@@ -189,7 +193,8 @@ class Followed:
             SamplingError: the value is not a number, or an index means another element than before.
         """
         value, names = _walk(message, self._channel.path)
-        before, self._names = self._names, self._names or names
+        before = self._names
+        self._names = self._names or names
         if before and names and names != before:
             topic, path = self._channel
             called = iter(before)
@@ -216,7 +221,9 @@ class Followed:
 
 def _walk(message: Any, path: str) -> tuple[Any, tuple[str, ...]]:
     """What is at a path, None if a list has no such element, and the names of elements chosen by number."""
-    value, names, met = message, cast("Sequence[str]", ()), list[str]()
+    value = message
+    names = cast("Sequence[str]", ())
+    met = list[str]()
     for step in steps(path):
         if not isinstance(step, int | Label):
             names = _names_in(value) or names

@@ -111,7 +111,9 @@ class SignalListener:
         """That the newest stamp was ahead of this machine's clock; empty: it was not."""
         self.misnamed: dict[str, str] = {}
         """Why messages are left out, by signal."""
-        self._sources, self._now, self._wait = sources, now, wait
+        self._sources = sources
+        self._now = now
+        self._wait = wait
         self._close: Callable[[], bool] = lambda: True  # nothing is open yet
         self._units = {name: signal.unit for name, signal in signals_of(plant).items()}
         self._ready: dict[str, FollowedSignal] = {}
@@ -219,7 +221,9 @@ class SignalListener:
         each = dict.fromkeys(channel.topic for channel in self.channels[name])
         topics = " and ".join(each)
         why = self._source.lost or next(filter(None, map(self._source.trouble, each)), "")
-        limit, heard, now = self.sampler.limits[name].max_age, self._heard.get(name), time.monotonic()
+        limit = self.sampler.limits[name].max_age
+        heard = self._heard.get(name)
+        now = time.monotonic()
         if heard is None or self._source.lost:
             return f"{name}: {why or f'no message on {topics} yet'}; no samples"
         if limit and now - heard > limit:

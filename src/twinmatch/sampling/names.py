@@ -26,7 +26,8 @@ class LoopNames(NamedTuple):
     def of(cls, plant: type[Plant]) -> LoopNames:
         """Of several outputs or inputs, the names are those of the plant file; `y_reference` is the set-point
         of an output y."""
-        outputs, inputs = tuple(plant.outputs), tuple(plant.drives)
+        outputs = tuple(plant.outputs)
+        inputs = tuple(plant.drives)
         return cls(
             (REFERENCE,) if len(outputs) == 1 else tuple(f"{y}_{REFERENCE}" for y in outputs),
             (OUTPUT,) if len(outputs) == 1 else outputs,
@@ -77,7 +78,9 @@ def by_signal(plant: type[Plant], given: Mapping[str, _Value]) -> dict[str, _Val
     Raises:
         RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
-    known, named, used = signal_called(plant), dict[str, _Value](), dict[str, str]()
+    known = signal_called(plant)
+    named = dict[str, _Value]()
+    used = dict[str, str]()
     for name, entry in given.items():
         if name not in known:
             signals = ", ".join(

@@ -61,11 +61,16 @@ class Grid:
     def place(self, now: int) -> int | None:
         """The number of the tick at `now` (ns), from 0; None if it does not count."""
         if self._number is None:
-            self._number, self._newest, self._due = 0, now, now
+            self._number = 0
+            self._newest = now
+            self._due = now
             return 0
         if now < self._newest - self._period:  # the clock was set back: nothing reaches across that
-            self.missed, self.jitter = self.missed + 1, 0
-            self._number, self._newest, self._due = self._number + 2, now, now
+            self.missed = self.missed + 1
+            self.jitter = 0
+            self._number = self._number + 2
+            self._newest = now
+            self._due = now
             return self._number
         late = now - self._due - self._period
         if late <= -self._period // 2 or now <= self._newest:
@@ -211,7 +216,8 @@ class Sampler:
         self._step = round(period * NANOSECONDS)
         self._pacer = paced_by
         self._settle = round(settle * self._step)
-        self._disturbances, self._loop = disturbances, loop
+        self._disturbances = disturbances
+        self._loop = loop
         self._commanded = paced_by in loop.inputs
         self._ticks: deque[_Tick] = deque()
         self._within: set[str] = set()
@@ -301,7 +307,9 @@ class Sampler:
 
     def _check_value(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
-        limits, counts, at = self.limits[name], self.counts[name], self._buffers[name].time
+        limits = self.limits[name]
+        counts = self.counts[name]
+        at = self._buffers[name].time
         if value is None or at is None:
             counts.missing += 1
             troubles[name] = f"no {name} yet"

@@ -172,7 +172,8 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
             if not isinstance(key, yaml.ScalarNode):
                 raise _RefusedError(key, "has a key that is not text")
             self._count(key)
-            name, value = key.value[:MAX_TEXT], self._value(given, depth + 1)
+            name = key.value[:MAX_TEXT]
+            value = self._value(given, depth + 1)
             if key.tag == _MERGE:
                 sources = value if isinstance(value, list) else [value]
                 if not all(isinstance(source, dict) for source in sources):

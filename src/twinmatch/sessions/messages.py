@@ -315,7 +315,10 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
         SessionError: the stamp is negative or past 2038.
     """
     head = _header(sample.stamp, frame)
-    r, y, u, d = sample.references, sample.outputs, sample.inputs, sample.disturbances
+    r = sample.references
+    y = sample.outputs
+    u = sample.inputs
+    d = sample.disturbances
     signals = len(r), *r, len(y), *y, len(u), *u, len(d), *d
     return _stamped(head[-1], _arrays(sample.shape)).pack(*head, sample.index, *signals)
 
@@ -323,7 +326,8 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
 @lru_cache(maxsize=16)
 def _arrays(lengths: tuple[int, ...]) -> str:
     """Layout of an index and of sequences of float64 with these lengths."""
-    fields, whole = "Q", True
+    fields = "Q"
+    whole = True
     for length in lengths:
         fields += "I" if not length else f"I4x{length}d" if whole else f"I{length}d"
         whole = bool(length) or not whole

@@ -71,7 +71,8 @@ class Summary(NamedTuple):
 
     def _information(self) -> dict[str, object]:
         used = [part for part in self.parts if part.messages] or list(self.parts)
-        start, end = min(part.start for part in used), max(part.end for part in used)
+        start = min(part.start for part in used)
+        end = max(part.end for part in used)
         return {
             "version": VERSION,
             "storage_identifier": "mcap",

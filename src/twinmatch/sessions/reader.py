@@ -146,8 +146,11 @@ def read_session(
         except SessionError:
             if (first := first_of(path)) == path:
                 raise
-            pieces, path = pieces_of(first), first
-    sessions, left_out, errors = [], [], []
+            pieces = pieces_of(first)
+            path = first
+    sessions = []
+    left_out = []
+    errors = []
     for number, piece in enumerate(pieces):
         try:
             sessions.append(_read(piece, topic, part_of(progress, number, len(pieces))))
@@ -208,7 +211,8 @@ def _join(sessions: Sequence[Session], path: Path, left_out: Sequence[str]) -> S
     """Sessions of one run as one: the last that begins at its beginning, and later messages of others."""
     begin = min(session.samples[0].index for session in sessions)
     base = max(k for k, session in enumerate(sessions) if session.samples[0].index == begin)
-    whole, later = sessions[base], sessions[base + 1 :]
+    whole = sessions[base]
+    later = sessions[base + 1 :]
     notes = [*left_out]
     if len(sessions) > 1:
         notes.append(f"{whole.path.name} holds the run from its beginning")
@@ -252,11 +256,13 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     scans = [Scan(file) for file in files]
     counts: Counter[str] = Counter()
     raw: dict[str, list[Message]] = {}
-    start, end = 2**64, 0
+    start = 2**64
+    end = 0
     for message in _with_progress(scans, progress):
         name = message.topic.name
         counts[name] += 1
-        start, end = min(start, message.log_time), max(end, message.log_time)
+        start = min(start, message.log_time)
+        end = max(end, message.log_time)
         if message.topic.type == SAMPLE.type:
             raw.setdefault(name, []).append(message)
     topics = list({known.name: known for scan in scans for known in scan.topics}.values())

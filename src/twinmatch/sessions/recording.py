@@ -107,7 +107,8 @@ class Recording(SessionWriter):
             self.split()
 
     def _due(self) -> bool:
-        part, limits = self.part, self.limits
+        part = self.part
+        limits = self.limits
         span = (part.end - part.start) / NANOSECONDS
         return (0 < limits.split_mb <= self.size / MEGABYTE) or (0 < limits.split_s <= span)
 
@@ -339,7 +340,8 @@ def _files_at_rest(folder: Path) -> list[Path]:
 def _examine(folder: Path, files: list[Path]) -> Repair:
     faults: list[str] = []
     counts: Counter[str] = Counter()
-    start, end = 2**64, 0
+    start = 2**64
+    end = 0
     for file in files:
         if file.stat().st_size == 0:
             faults.append(f"{file.name} is empty")
@@ -347,7 +349,8 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
         scan = Scan(file)
         for message in scan:
             counts[message.topic.name] += 1
-            start, end = min(start, message.log_time), max(end, message.log_time)
+            start = min(start, message.log_time)
+            end = max(end, message.log_time)
         if scan.topics and not _is_own(scan):
             author = f"by {scan.library!r}" if scan.library else "by another program"
             raise SessionError(

@@ -35,7 +35,8 @@ class SampleSpool:
         self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
         self._count = 0
         # First index and first row of each unbroken run; there are few, since a new one needs a missed tick.
-        self._firsts, self._rows = array("Q"), array("Q")
+        self._firsts = array("Q")
+        self._rows = array("Q")
 
     def __len__(self) -> int:
         return self._count
@@ -65,7 +66,8 @@ class SampleSpool:
 
     def rows(self, first: int, count: int, most: int) -> Rows:
         """The samples among the `count` indices from `first` on, in order, at most `most` rows."""
-        begin, end = self._row_of(first), self._row_of(first + count)
+        begin = self._row_of(first)
+        end = self._row_of(first + count)
         number = min(end - begin, most)
         self._file.seek(begin * self._row.itemsize)
         return np.frombuffer(self._file.read(number * self._row.itemsize), self._row)

@@ -293,7 +293,8 @@ class SessionWriter:
 
     def _hold(self, handle: int | None) -> None:
         """Keep the lock of another file, or of none; of two files the older is released last."""
-        before, self._held = self._held, handle
+        before = self._held
+        self._held = handle
         if before is not None:
             os.close(before)
 

@@ -148,7 +148,8 @@ class ExperimentAsking(Asking):
 
     def open(self) -> None:
         """Find the twin, and subscribe to its reports."""
-        self._described, self._follows = UNDESCRIBED, False
+        self._described = UNDESCRIBED
+        self._follows = False
         self.create_subscription(messages.PlantDescription, "plant/description", self._on_plant, LATCHED)
         self.create_subscription(messages.ExperimentReport, "twin/experiment", self._on_report, RELIABLE)
         super().open()
@@ -194,7 +195,8 @@ class ExperimentAsking(Asking):
         if report.request != self.word:
             return
         self._follows = report.phase is ExperimentPhase.RUNNING
-        words, proposed = report_words(report, self._described), report.phase is ExperimentPhase.PROPOSED
+        words = report_words(report, self._described)
+        proposed = report.phase is ExperimentPhase.PROPOSED
         if proposed and not self.values["run"]:
             self.end(0 if report.expected >= LEAST else 3, words)
         elif report.phase in ENDS:

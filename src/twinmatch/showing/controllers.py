@@ -64,7 +64,8 @@ def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
     """Old and new gains with their M_s, why, and what tuning cannot change, in lines."""
     lines = [found.reason]
     for name in ("proportional", "integral", "derivative"):
-        before, after = getattr(found.before, name), getattr(found.after, name)
+        before = getattr(found.before, name)
+        after = getattr(found.after, name)
         lines.append(f"  {name}: {before:.4g} → {after:.4g}")
     lines.append(f"  largest M_s: {found.sensitivities[0]:.2f} → {found.sensitivities[1]:.2f}")
     limited = [s.median for q, s in answer.courses.figures.items() if q.name == "time at a limit"]
@@ -75,7 +76,9 @@ def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
 
 def experiment_words(found: NextExperiment) -> list[str]:
     """The course in one sentence, then what it brings beside others of its length."""
-    plant, rows, period = found.leader.parameters.model.plant, found.course.rows, found.terms.holding.period
+    plant = found.leader.parameters.model.plant
+    rows = found.course.rows
+    period = found.terms.holding.period
     signals = plant.drives if found.terms.holding.law is None else plant.outputs
     changes = [0, *(np.flatnonzero(np.any(np.diff(rows, axis=0), axis=1)) + 1)]
     plan = [

@@ -71,7 +71,9 @@ class Member:
     def simulated(self, order: str) -> Window:
         """The measured window as simulated by the model of this order: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
-        of_y, of_u, measured = model.y, model.u, self.measured
+        of_y = model.y
+        of_u = model.u
+        measured = self.measured
         level = operating_level(measured, driven=of_u is None, lead=model.lead)
         r, y, u = deviations(measured, level)
         output = of_y.simulate(u if of_u is None else r, outputs=y[: len(of_y.F)]) + level.output
@@ -107,7 +109,8 @@ def family(
 def _window_of(
     score: CandidateScore, matches: Sequence[MatchReport], samples: Sequence[Sample], period: float
 ) -> Window | None:
-    first, last = score.first, score.last
+    first = score.first
+    last = score.last
     if last < first:  # from a file, so judged on the first window that excited the loop
         last = next((m.match.samples[1] for m in matches if m.match.samples[0] == first), last)
     held = [s for s in samples if first <= s.index <= last]
@@ -142,7 +145,8 @@ def interval(match: Match, name: str) -> Interval:
     """The interval of a free parameter; NaN for one that was not fitted."""
     if name not in match.free:
         return Interval(math.nan, math.nan, math.nan, profile=False)
-    place, value = match.free.index(name), value_of(match, name)
+    place = match.free.index(name)
+    value = value_of(match, name)
     error = float(match.standard_errors[place])
     if len(match.intervals) > place:
         low, high = map(float, match.intervals[place])
@@ -258,7 +262,8 @@ def criterion_rows(
     candidate: CandidateScore, criteria: Sequence[FigureColumn] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
     """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
-    orders, chosen = candidate.orders, candidate.chosen_order
+    orders = candidate.orders
+    chosen = candidate.chosen_order
     return tuple(
         CriterionRow(
             *(output, o.order, o.order == chosen), tuple(_figure(orders, o, output, c) for c in criteria)
@@ -290,7 +295,8 @@ def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> lis
 def _figure(
     orders: Sequence[OrderScore], order: OrderScore, output: str, column: FigureColumn
 ) -> CriterionFigure:
-    value, text = _value(order, output, column), column.text(getattr(order, output))
+    value = _value(order, output, column)
+    text = column.text(getattr(order, output))
     if column.best is None or math.isnan(value):
         return CriterionFigure(text, best=False)
     return CriterionFigure(text, best=value == column.best(_value(o, output, column) for o in orders))

@@ -53,7 +53,8 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
 def forecast_words(forecast: Forecast, settings: TwinSettings) -> list[str]:
     """The forecast in lines: final output, arrival at each set-point, largest input, widths of the band;
     for prescribed inputs only final output and widths."""
-    plant, widths = settings.plant, _widths(forecast, settings)
+    plant = settings.plant
+    widths = _widths(forecast, settings)
     if not forecast.closed:
         return [_end(forecast, plant), widths]
     parts = _parts(forecast)
@@ -97,7 +98,8 @@ def _band(band: Band) -> dict[str, list[float]]:
 
 
 def _end(forecast: Forecast, plant: type[Plant]) -> str:
-    y, band = signal_names(plant).output, forecast.output
+    y = signal_names(plant).output
+    band = forecast.output
     low, mean, high = (float(edge[-1]) for edge in (band.low, band.mean, band.high))
     return (
         f"{y.name} after {forecast.time[-1]:g} s: {y.text(mean)}, within {y.text(low, high)} "
@@ -112,7 +114,8 @@ def _parts(forecast: Forecast) -> list[Forecast]:
 
     def part(of: slice) -> Forecast:
         output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
-        time, levels = forecast.time[of], forecast.reference[of]
+        time = forecast.time[of]
+        levels = forecast.reference[of]
         return replace(forecast, time=time, references=levels, outputs=(output,), inputs=(entry,))
 
     return [part(slice(*pair)) for pair in pairwise(ends)]
@@ -120,12 +123,14 @@ def _parts(forecast: Forecast) -> list[Forecast]:
 
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     """When the output reaches one set-point, and whether it stays there."""
-    unit, level = plant.output.unit, float(part.reference[0])
+    unit = plant.output.unit
+    level = float(part.reference[0])
     near = NEAR * plant.output.noise
     goal = f"within {f'{near:g} {unit}'.rstrip()} of {f'{level:g} {unit}'.rstrip()}"
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
-    reached, held = time_to_reach(part, level, near), settling_time(part, level, near)
+    reached = time_to_reach(part, level, near)
+    held = settling_time(part, level, near)
     if reached.expected is None:
         edge = reached.earliest
         best = "" if edge is None else f"; at the edge of the band after {edge:g} s"
@@ -141,13 +146,15 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
 
 
 def _largest(forecast: Forecast, plant: type[Plant]) -> str:
-    u, peak = signal_names(plant).input, largest_input(forecast)
+    u = signal_names(plant).input
+    peak = largest_input(forecast)
     least, most = (number(edge, u.decimals) for edge in (peak.least, peak.most))
     return f"largest {u.name}: {u.text(peak.expected)} after {peak.time:g} s ({least} to {most})"
 
 
 def _widths(forecast: Forecast, settings: TwinSettings) -> str:
-    signals, widths = signal_names(settings.plant), []
+    signals = signal_names(settings.plant)
+    widths = []
 
     def width(k: int) -> str:
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
@@ -176,7 +183,9 @@ def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str,
 
     Ends and widths are in the plant's units, the others in units of its noise.
     """
-    w, y, u = signal_names(plant), plant.output, plant.drive
+    w = signal_names(plant)
+    y = plant.output
+    u = plant.drive
     called = [f" {signal.unit or signal.name}" for signal in w]
     in_unit = [f" /{unit}" for unit in called]
     if w.output.unit == w.input.unit:
@@ -227,7 +236,8 @@ def backtest_tables(backtest: Backtest) -> list[Table]:
 
 def backtest_words(backtest: Backtest) -> list[str]:
     """Sentences on the leader's results, one for each horizon."""
-    w, noise = signal_names(backtest.plant), backtest.plant.output.noise
+    w = signal_names(backtest.plant)
+    noise = backtest.plant.output.noise
     sentences = []
     for horizon, cards in backtest.at_horizons.items():
         own = next((card for card in cards if card.who == LEADER), None)
@@ -244,11 +254,15 @@ def backtest_words(backtest: Backtest) -> list[str]:
 
 def _trust(backtest: Backtest) -> Iterator[str]:
     """What the last verdict says of the leader's forecasts, of several outputs of this one, by horizon."""
-    last, (name, *_) = backtest.last, backtest.plant.outputs
+    last = backtest.last
+    name, *_ = backtest.plant.outputs
     if last is not None and last.leader is not None:
-        trusted, whose, doubts = last.trusted, "they", last.doubts
+        trusted = last.trusted
+        whose = "they"
+        doubts = last.doubts
         if backtest.plant.channel_of is not None:
             trusted = next(score.trusted for score in last.signals if score.signal == name)
-            whose, doubts = f"the forecasts of {signal_names(backtest.plant).output}", ""
+            whose = f"the forecasts of {signal_names(backtest.plant).output}"
+            doubts = ""
         ahead = f"{number_list(trusted)} s ahead" if trusted else "at no horizon"
         yield f"At the end {whose} pass the test of trust {ahead}{f': {doubts}' if doubts else ''}."

@@ -151,7 +151,8 @@ class ShownSignals(NamedTuple):
 
 def signal_names(plant: type[Plant]) -> ShownSignals:
     """Names and units of a single loop from the plant's declarations; see `channels`."""
-    y, u = plant.output, plant.drive
+    y = plant.output
+    u = plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
     return ShownSignals(
         ShownSignal(y.name.replace("_", " "), y.unit, y.decimals), ShownSignal(driven, u.unit, u.decimals)

@@ -63,15 +63,18 @@ def compare(
 ) -> tuple[Comparison, ...]:
     """Run the twins over every stretch of at least four samples, from its measured initial values, or, where
     the loop is not known, from estimated ones."""
-    comparisons, law = [], settings.law
+    comparisons = []
+    law = settings.law
     for window in stretches:
         if len(window) < SKIPPED + 2:
             continue
         if law is None:
             comparisons.append(Comparison(window, None, response_on(parameters, window, None).outputs))
             continue
-        states, measured = begin_window(parameters, window), window.disturbances[SKIPPED:]
-        inputs, step = window.inputs[SKIPPED:], window.period
+        states = begin_window(parameters, window)
+        measured = window.disturbances[SKIPPED:]
+        inputs = window.inputs[SKIPPED:]
+        step = window.period
         driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
         comparisons.append(Comparison(window, response_on(parameters, window, law), driven.outputs))
     return tuple(comparisons)
@@ -151,13 +154,16 @@ def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     Measurements are compared with it up to the first sample that is missing, or whose set-point (or input)
     differs from the one the forecast was made for.
     """
-    size, now = forecast.time.size, forecast.sample
+    size = forecast.time.size
+    now = forecast.sample
     before = max(round(_BEFORE * size), 1)
     whole = next(part for part in stretches if part.first <= now <= part.last)
     window = whole.part(max(whole.first, now - before), min(whole.last, now + size))
-    levels, asked = window.reference, forecast.reference
+    levels = window.reference
+    asked = forecast.reference
     if not forecast.closed:
-        levels, asked = window.input, forecast.input.mean
+        levels = window.input
+        asked = forecast.input.mean
     ahead = levels[now + 1 - window.first :]
     other = np.flatnonzero(ahead != asked[: ahead.size])
     count = int(other[0]) if other.size else ahead.size

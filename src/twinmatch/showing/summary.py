@@ -105,7 +105,8 @@ def _plant(verdict: Verdict) -> str:
     held = verdict.structure_parameters
     if held is None:
         return ""
-    plant, fitted = held.model.plant, held.model.structure.free
+    plant = held.model.plant
+    fitted = held.model.structure.free
     known = [(parameter_format(plant, name), held[name]) for name in held if held[name] or name in fitted]
     shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in known]
     return f" ({', '.join(shown)})"

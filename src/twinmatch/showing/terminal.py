@@ -68,7 +68,10 @@ class Screen:
 
     def __init__(self, console: Console, title: str, period: float = 1.0, total: int | None = None) -> None:
         """Show a run of `total` samples (None: not known), `period` seconds apart."""
-        self._console, self._title, self._period, self._total = console, title, period, total
+        self._console = console
+        self._title = title
+        self._period = period
+        self._total = total
         self._done = self._part = 0
         self._matches: list[MatchReport] = []
         self._verdict: Verdict | None = None
@@ -96,7 +99,8 @@ class Screen:
 
     def advance(self, done: int) -> None:
         """Note the number of samples processed since the start of the session."""
-        self._done, self._compiled = done, ""
+        self._done = done
+        self._compiled = ""
         part = QUARTERS * done // self._total if self._total else 0
         if part > self._part or time.monotonic() >= self._next:
             self._part = part
@@ -107,7 +111,8 @@ class Screen:
         self._matches.append(report)
         if len(self._matches) > 2 * MAX_MATCHES:
             standing = {(c.first, c.last) for c in self._verdict.candidates} if self._verdict else set()
-            old, new = self._matches[:-MAX_MATCHES], self._matches[-MAX_MATCHES:]
+            old = self._matches[:-MAX_MATCHES]
+            new = self._matches[-MAX_MATCHES:]
             self._matches = [report for report in old if report.match.samples in standing] + new
 
     def take_verdict(self, verdict: Verdict) -> None:
@@ -157,7 +162,8 @@ class Screen:
         if self._total is None:
             parts.append(Text(f"plant time {plant_time} h, {self._done} samples"))
         else:
-            whole, total = timedelta(seconds=int(self._total * self._period)), max(self._total, 1)
+            whole = timedelta(seconds=int(self._total * self._period))
+            total = max(self._total, 1)
             if width > 2 * BAR + len(self._title):
                 parts.append(ProgressBar(total, self._done, width=BAR))
             parts.append(Text(f"{percent(self._done / total, 0)} %, {plant_time} of {whole} h"))
@@ -190,7 +196,8 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     """Level, leader, nominal, fault and reason, each after its label."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     grid = Table.grid(padding=(0, 2, 0, 0))
-    badge, words = (f" {level.value.upper()} ", f"{STYLES[level]} reverse"), f"  {level_words(verdict)}"
+    badge = (f" {level.value.upper()} ", f"{STYLES[level]} reverse")
+    words = f"  {level_words(verdict)}"
     grid.add_row("level", Text.assemble(badge, (words, STYLES[level])))
     if verdict is None:
         grid.add_row("verdict", "none yet")

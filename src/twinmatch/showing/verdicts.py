@@ -102,7 +102,8 @@ def missed(verdict: Verdict) -> str:
 def fault_words(verdict: Verdict, period: float) -> str:
     """The name of the fault, of several signals which it concerns, and since when it shows; `period` is the
     sample time, s."""
-    since, named = verdict.fault_since, verdict.named_fault
+    since = verdict.fault_since
+    named = verdict.named_fault
     return named if since is None else f"{named} since {number(since * period, 0)} s"
 
 

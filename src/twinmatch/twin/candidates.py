@@ -86,7 +86,9 @@ class CandidatePool:
         remembered: Sequence[Candidate] = (),
     ) -> None:
         """Begin with twins of earlier sessions; `spoilt(first, last)` excludes stretches from learning."""
-        plant, law, period = settings.plant, settings.law, settings.period
+        plant = settings.plant
+        law = settings.law
+        period = settings.period
         self._settings = settings
         self.forecaster = Forecaster(law, settings.forecasts, spoilt, period)
         self.structures = StructureFits(
@@ -176,7 +178,8 @@ class CandidatePool:
         values as prior; return the names of these."""
         if self.estranged or not (estranged := self.structures.estranged):
             return ()
-        self.estranged, self._remembered = estranged, ()
+        self.estranged = estranged
+        self._remembered = ()
         prior = self._settings.prior
         self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])  # new accounts
         self.structures.forget()
@@ -257,7 +260,9 @@ class CandidatePool:
         window, plant, now = newest
         family = [self._members[c.name] for c in self._family.candidates]
         candidates = [*self._family.candidates, *beside]
-        points, loop, count = self._points(window), self._loop, len(family)
+        points = self._points(window)
+        loop = self._loop
+        count = len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
         to_now = [None if now is None else plant_gap(c.parameters, now, points, loop) for c in candidates]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
@@ -276,7 +281,8 @@ class CandidatePool:
         if plant is not None:
             scores, identified = self._with_models(scores, family, window, plant)
         nominal = nominal_of(scores)
-        every, twins = (*scores, *bare[count:]), candidates[:count]
+        every = (*scores, *bare[count:])
+        twins = candidates[:count]
         certainty = judge_uncertainty(
             every, twins, gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
         )
@@ -294,7 +300,8 @@ class CandidatePool:
         self, scores: Sequence[CandidateScore], family: Sequence[_Member], window: Window, plant: SimoModel
     ) -> tuple[tuple[CandidateScore, ...], FloatArray]:
         """The scores with what the twins' models of the plant's order say, and the ν-gaps between these."""
-        decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
+        decimals = self._settings.decimals
+        absolute = self._settings.plant.output.absolute
         models = [member.models[plant.order] for member in family]
         gaps = nu_gap_matrix([m.symbol for m in models])
         modelled = tuple(

@@ -187,7 +187,8 @@ class Discriminator:
         """
         if self._request is None or not report.answers(self._request):
             return Step((), None)
-        self._request, trigger = None, self._due
+        self._request = None
+        trigger = self._due
         assert trigger is not None  # noqa: S101 — a request is that of a trigger
         verdicts: list[Verdict] = []
         with self._replacing_defect(verdicts, trigger.sample, self._begin_candidates):
@@ -353,7 +354,9 @@ class Discriminator:
         """Judge the plant's health; it tells of an alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
-                self.monitor, self._stood_in, self._trials = _monitor(self.settings), None, {}
+                self.monitor = _monitor(self.settings)
+                self._stood_in = None
+                self._trials = {}
                 self._fault_before = None
             self._recent.clear()
         if sample.usable:
@@ -385,7 +388,8 @@ class Discriminator:
 
         If the window cannot be scored, the scores of the verdict before stand.
         """
-        window, pool = trigger.window, self._pool
+        window = trigger.window
+        pool = self._pool
         with one_thread():
             if self._fits is not None:
                 self._fits.result()
@@ -399,7 +403,8 @@ class Discriminator:
                 try:
                     pool.score(window)
                 except TwinmatchError as error:
-                    scored, match = False, MatchResult(match.word, f"nothing could be identified: {error}")
+                    scored = False
+                    match = MatchResult(match.word, f"nothing could be identified: {error}")
             if not scored:
                 pool.score_leader()
             known = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
@@ -425,7 +430,9 @@ class Discriminator:
         dismissed: tuple[str, ...] = (),
     ) -> Knowledge:
         """All that is known at a sample, when everything has taken it."""
-        bands, forecaster, choice = self._check_bands(window), self.forecaster, self._pool.structures.choice
+        bands = self._check_bands(window)
+        forecaster = self.forecaster
+        choice = self._pool.structures.choice
         return Knowledge(
             sample=sample,
             window=(window.first, window.last),
@@ -457,7 +464,8 @@ class Discriminator:
         """How the newest samples lie in the bands that the leader forecast for them."""
         if not self._recent:
             return BandCheck()
-        samples, newest = min(self.settings.schedule.stride, len(window)), self._recent[-1].index
+        samples = min(self.settings.schedule.stride, len(window))
+        newest = self._recent[-1].index
         if self._trial_between(newest - samples - max(self.forecaster.horizons), newest):
             return BandCheck()
         check = self.forecaster.check_bands(samples)
@@ -481,7 +489,8 @@ class Discriminator:
     def _notes(self) -> tuple[str, ...]:
         """Reservations on forecasts at this sample, and structures that no longer take part."""
         lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._external if model.lost)
-        health, since = self._health, self._bands.since
+        health = self._health
+        since = self._bands.since
         if self._settled is not None and (trial := self._trial_between(self._settled, self._settled)):
             return (f"{trial}: this forecast is for the law before", *lost)
         if health is not None and health.state is HealthState.FAULT and health.fault is not None:
@@ -497,7 +506,8 @@ class Discriminator:
         return self.monitor.fault_between(first, last) is not None or bool(self._trial_between(first, last))
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
-        match, window = report.match, trigger.window
+        match = report.match
+        window = trigger.window
         if match.status is not Status.ACCEPTED:
             return MatchResult(REFUSED, f"match refused: {match.reason}")
         outputs = zip(point_values(report.operating_point), self.settings.plant.outputs.values(), strict=True)
@@ -550,7 +560,8 @@ class Twin:
             return Outcome(None, step.verdicts, step.settled, step.estimates)
         report = carry_out(step.request, self._matching)
         after = self.discriminator.push_match(report)
-        settled, estimates = step.settled + after.settled, step.estimates + after.estimates
+        settled = step.settled + after.settled
+        estimates = step.estimates + after.estimates
         return Outcome(report, step.verdicts + after.verdicts, settled, estimates)
 
 

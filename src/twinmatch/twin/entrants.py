@@ -63,7 +63,9 @@ class Standings:
         horizons: Sequence[int] = (),
     ) -> None:
         """Of these candidates, if there is a ledger; `horizons` in samples."""
-        self._entrants, self._ledger, self._horizons = entrants, ledger, horizons
+        self._entrants = entrants
+        self._ledger = ledger
+        self._horizons = horizons
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
@@ -108,8 +110,10 @@ class Standings:
     def _score(self, name: str, signal: int | None = None) -> ForecastScore:
         """The score of a candidate; its skills and bands in all signals or in one."""
         assert self._ledger is not None  # noqa: S101 — otherwise nobody has saved anything
-        candidate, calibration = self._entrants[name].candidate, self._entrants[name].calibration
-        (total, gains), (first, last) = self._saved[name], candidate.samples
+        candidate = self._entrants[name].candidate
+        calibration = self._entrants[name].calibration
+        total, gains = self._saved[name]
+        first, last = candidate.samples
         spans = [(max((b for b in self._horizons if b < h), default=0), h) for h in self._horizons]
         coverage, independent = zip(*(calibration.coverage(*span, signal) for span in spans), strict=True)
         skills = np.concatenate(self._ledger.skills(name, signal)).tolist()

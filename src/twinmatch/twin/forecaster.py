@@ -99,7 +99,8 @@ class Forecaster:
             period: sample time if the loop is not known, s; otherwise the controller's is used.
         """
         self.settings = settings or ForecastSettings()
-        self._law, self._spoilt = law, spoilt
+        self._law = law
+        self._spoilt = spoilt
         self.period = period = law.period if law is not None else period
         self.horizons = tuple(max(round(h / period), 1) for h in self.settings.horizons)
         self._longest = max(self.horizons)
@@ -209,11 +210,14 @@ class Forecaster:
         self._catch_up()
         leader = self.leader or self.names[0]
         outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
-        names, foresight, now = self._twins.native, None, None
+        names = self._twins.native
+        foresight = None
+        now = None
         if names:
             filters = [self._twins[name].state_filter for name in names]
             foresight = self._twins.foresight(self._law, self.period)
-            states, covariances = [f.states for f in filters], [f.joint for f in filters]
+            states = [f.states for f in filters]
+            covariances = [f.joint for f in filters]
             now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
         skipped = self._recent[-1].index // self._stride % _OTHERS_EVERY
         learning = (leader,) if skipped else self._twins
@@ -318,15 +322,18 @@ class Forecaster:
         if not made:
             return None
         self._catch_up()
-        departure, (_, outputs, inputs, _) = self._departures[made[-1]], self._columns
-        outlook, came = departure.outlooks[departure.leader], self._rows[made[-1] - newest - 1 :]
+        departure = self._departures[made[-1]]
+        _, outputs, inputs, _ = self._columns
+        outlook = departure.outlooks[departure.leader]
+        came = self._rows[made[-1] - newest - 1 :]
         try:
             forecast = outlook.forecast(*self._conditions(came))
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
             return None
-        rows, counted = came[-samples:], came[-samples:, -1] > 0.0
+        rows = came[-samples:]
+        counted = came[-samples:, -1] > 0.0
         if not counted.any():
             return None
         measured = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
@@ -388,12 +395,15 @@ class Forecaster:
 
     def _learn(self, departure: _Departure, sample: int, place: int) -> None:
         """Score the forecasts made at one sample on the samples up to one of their horizons."""
-        ahead, ledger = self.horizons[place], self._ledger
+        ahead = self.horizons[place]
+        ledger = self._ledger
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         self._catch_up()
-        came, signals = self._rows[-ahead - 1 :], ledger.noise.size
-        before, seen = max((h for h in self.horizons if h < ahead), default=0), came[1:, -1] > 0.0
+        came = self._rows[-ahead - 1 :]
+        signals = ledger.noise.size
+        before = max((h for h in self.horizons if h < ahead), default=0)
+        seen = came[1:, -1] > 0.0
         if not seen[before:].any():
             return
         given, rows = self._conditions(came)

@@ -28,7 +28,8 @@ class GapFiller:
     def __init__(self, law: Law | None, longest: int) -> None:
         """Begin without samples; `law` is None if the loop is not known, and at most `longest` samples in a
         row are replaced."""
-        self._law, self._longest = law, longest
+        self._law = law
+        self._longest = longest
         self._past: deque[Sample] = deque(maxlen=_PAST)
 
     def restart(self) -> None:
@@ -75,7 +76,8 @@ def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sa
     for sample in past[2:]:
         rows = (np.array(row) for row in (sample.references, sample.outputs, sample.inputs))
         state = law.follow(state, *rows)
-    stand_ins, nearest = lost, np.inf
+    stand_ins = lost
+    nearest = np.inf
     for references, outputs in _courses(past[-1], [*lost, after]):
         inputs, _ = commands_of(law.code, state, references, outputs)
         off = float(np.linalg.norm(inputs[-1] - after.inputs))
@@ -94,12 +96,11 @@ def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatAr
 
     An output moves only after the set-point that moves it.
     """
-    old, new = np.array(before.references), np.array(behind[-1].references)
-    outputs, passed, last = (
-        np.array([s.outputs for s in behind]),
-        np.arange(1.0, len(behind) + 1),
-        len(behind),
-    )
+    old = np.array(before.references)
+    new = np.array(behind[-1].references)
+    outputs = np.array([s.outputs for s in behind])
+    passed = np.arange(1.0, len(behind) + 1)
+    last = len(behind)
     yield old + (new - old) * (passed / last)[:, None], outputs
     if np.array_equal(old, new):
         return

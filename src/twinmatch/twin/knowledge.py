@@ -134,14 +134,17 @@ class Knowledge:
 
 def trust_of(known: Knowledge) -> Trust:
     """How far to trust the leader: the first reason against it that applies."""
-    level, reason = TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL]
+    level = TrustLevel.DOUBTFUL
+    reason = LEVEL_WORDS[TrustLevel.DOUBTFUL]
     shown = f"the plant shows {known.fault.value}" if known.fault is not None else ""
     if shown and known.fault not in _ADAPTABLE:
-        level, reason = TrustLevel.FAULT, shown
+        level = TrustLevel.FAULT
+        reason = shown
     elif known.doubt or shown:
         reason = known.doubt or shown
     elif math.isnan(known.bands.miss):
-        level, reason = TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
+        level = TrustLevel.UNKNOWN
+        reason = known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
     elif not known.outside:
         return _tested(known.doubts, known)
     return Trust(level, reason)
@@ -149,7 +152,8 @@ def trust_of(known: Knowledge) -> Trust:
 
 def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
     """What the test says of a leader with nothing else against it."""
-    words, held = doubt_words(doubts), _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
+    words = doubt_words(doubts)
+    held = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
     if len(doubts) < len(known.horizons):
         return Trust(TrustLevel.TRUSTED, f"{held}, but {words}" if words else held)
     if words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
@@ -161,7 +165,10 @@ def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
 
 def verdict_of(known: Knowledge) -> Verdict:
     """The verdict that what is known makes."""
-    trust, scores, bands, fault = trust_of(known), known.scores, known.bands, known.fault
+    trust = trust_of(known)
+    scores = known.scores
+    bands = known.bands
+    fault = known.fault
     doubts = known.doubts
     led = known.leader is not None
     return Verdict(

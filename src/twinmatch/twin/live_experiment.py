@@ -42,7 +42,8 @@ class LiveExperiment:
             ControllerError: there is nothing to decide, or no course keeps to the range.
             ForecastError: there is no candidate yet.
         """
-        self._settings, self._wish = settings, wish
+        self._settings = settings
+        self._wish = wish
         newest = snapshot.outlook().sample
         self._first = newest.index + 1
         self.before = newest.references
@@ -98,7 +99,8 @@ class LiveExperiment:
 
     def _over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
         """Why it ends undecided; if it does not, its course is the best for the rest of its time."""
-        left, indices = len(self._rest), [s.index for s in self._samples]
+        left = len(self._rest)
+        indices = [s.index for s in self._samples]
         if verdict.level is TrustLevel.FAULT:
             return f"stopped: {verdict.level_reason}"
         if indices != list(range(self._first, self._first + len(indices))):
@@ -141,7 +143,8 @@ class LiveExperiment:
     def _planned(
         self, snapshot: Snapshot, size: int | None, rest: FloatArray | None = None
     ) -> NextExperiment:
-        settings, members = self._settings, tried_twins(snapshot)
+        settings = self._settings
+        members = tried_twins(snapshot)
         if settings.law is None:
             raise ControllerError(
                 "experiment: the law of the loop is not known, so its set-points are not either"
@@ -163,7 +166,8 @@ class LiveExperiment:
         period = self._settings.period
         steps = [(level, len(list(run))) for level, run in groupby(map(tuple, self._rest.tolist()))]
         steps.append((self.before, 1))  # should nobody be there at its end, the set-point returns by itself
-        levels, held = tuple(chain.from_iterable(level for level, _ in steps)), [n for _, n in steps]
+        levels = tuple(chain.from_iterable(level for level, _ in steps))
+        held = [n for _, n in steps]
         return ExperimentReport(
             sample, phase, self.goal.name, self._first, self._expected, brought,
             levels, tuple(n * period for n in held), reason=_beside(self._found),

@@ -84,7 +84,8 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     match is made in the structure that the window justifies most. An incumbent has its structure: what it
     does not explain is a change of the plant.
     """
-    first, start = settings.start.model, request.start
+    first = settings.start.model
+    start = request.start
     free = settings.free if start.model is first else start.model.structure.free
     try:
         with one_thread():
@@ -122,7 +123,8 @@ def _matched(
             prior=settings.prior.get(start.model.structure_name, {}),
         )
     except TwinmatchError as error:
-        status, reason = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"
+        status = Status.DID_NOT_CONVERGE
+        reason = f"the window could not be matched: {error}"
         return without_fit(request.window, free, start, status, reason)
 
 

@@ -152,7 +152,8 @@ class Mirror:
 
     def _drive_twin(self, sample: Sample, row: FloatArray | None) -> MirrorState:
         """The driven twin alone."""
-        closed, commands = np.full(len(sample.outputs), np.nan), np.full(len(sample.inputs), np.nan)
+        closed = np.full(len(sample.outputs), np.nan)
+        commands = np.full(len(sample.inputs), np.nan)
         return self._observe(sample, closed, commands, row)
 
     def _advance_both(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
@@ -195,12 +196,15 @@ class Mirror:
         self, sample: Sample, closed: FloatArray, commands: FloatArray, row: FloatArray | None
     ) -> MirrorState:
         driven = readings(self._parameters, self._driven, row, sample.inputs)
-        y, u = np.array(sample.outputs), np.array(sample.inputs)
+        y = np.array(sample.outputs)
+        u = np.array(sample.inputs)
         residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
         if sample.seen or not self._recent:
             self._recent.append(residual)
         sizes = rms(np.array(self._recent), axis=0).tolist()
-        of_y, of_u, of_driven = slice(y.size), slice(y.size, y.size + u.size), slice(y.size + u.size, None)
+        of_y = slice(y.size)
+        of_u = slice(y.size, y.size + u.size)
+        of_driven = slice(y.size + u.size, None)
         names = self._parameters.model.states
         return MirrorState(
             sample=sample,

@@ -21,7 +21,8 @@ def unlike(fit: StructureFit, prior: Prior) -> str:
     With prior covariance Σ and that of the fit C, the fit of a plant like the remembered ones lies around the
     prior mean with covariance Σ − C. Only directions count in which the samples have told something.
     """
-    parameters, free = fit.parameters, fit.model.structure.free
+    parameters = fit.parameters
+    free = fit.model.structure.free
     mean, deviation = np.array([prior[name] for name in free]).T
     away = (np.array([parameters[name] for name in free]) - mean) / deviation
     left = fit.covariance / np.outer(deviation, deviation)
@@ -35,8 +36,6 @@ def unlike(fit: StructureFit, prior: Prior) -> str:
     place = int(np.argmax(np.abs(away)))
     name = free[place]
     unit = fit.model.declared[name].unit
-    is_, was = (
-        f"{name} is {parameters[name]:.3g} {unit}".rstrip(),
-        f"{mean[place]:.3g} ± {deviation[place]:.1g}",
-    )
+    is_ = f"{name} is {parameters[name]:.3g} {unit}".rstrip()
+    was = f"{mean[place]:.3g} ± {deviation[place]:.1g}"
     return f"this is not the plant that the memory describes: {is_}, remembered {was}; the memory is left"

@@ -79,7 +79,8 @@ class ScheduleSettings:
         counts = {}
         for one in fields(cls):
             if one.metadata["unit"] == "samples":
-                low, high = one.metadata["low"], one.metadata["high"]
+                low = one.metadata["low"]
+                high = one.metadata["high"]
                 counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
         return cls(scale, min_step=next(iter(plant.outputs.values())).least_step, **counts)
 
@@ -121,13 +122,15 @@ class Movements:
     ) -> None:
         """Begin without samples; `effect`: what the inputs do to the outputs, None: the set-points count.
         `units` of the outputs, in that of the first: so much larger is the least step of each."""
-        self._least, self._lasting = settings.min_step * np.array(units), settings.min_span
+        self._least = settings.min_step * np.array(units)
+        self._lasting = settings.min_span
         self._expected = None if effect is None else ExpectedMovement(effect)
 
     def rest(self, sample: Sample) -> None:
         """Count from this sample."""
         self._anchor = sample.references
-        self._moving, self._away = 0.0, sample.index
+        self._moving = 0.0
+        self._away = sample.index
         if self._expected is not None:
             self._expected.rest()
             self._expected.take(np.array(sample.inputs))
@@ -175,7 +178,8 @@ class Schedule:
         """
         self.settings = settings or ScheduleSettings()
         self.period = period
-        self._movements, self._driven = Movements(self.settings, effect, units), effect is not None
+        self._movements = Movements(self.settings, effect, units)
+        self._driven = effect is not None
         self._decimals = [-math.floor(math.log10(width * unit / 10)) for unit in units]
         self._open = determines
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
@@ -219,7 +223,10 @@ class Schedule:
         if trigger is not None or not self._waits:
             if self._step is not None:
                 self._previous_step = self._step
-            self._step, self._since, self._judged, self._from_rest = began, since, False, rested
+            self._step = began
+            self._since = since
+            self._judged = False
+            self._from_rest = rested
         return trigger
 
     @property
@@ -227,7 +234,8 @@ class Schedule:
         return self._step is not None and not self._judged
 
     def _on_count(self, sample: Sample) -> Trigger | None:
-        settings, due = self.settings, sample.index - self._judged_to >= self.settings.stride
+        settings = self.settings
+        due = sample.index - self._judged_to >= self.settings.stride
         missing = "the input did not move" if self._driven else "the set-point did not move"
         if self._waits:
             lasted = sample.index - self._since
@@ -255,7 +263,8 @@ class Schedule:
 
     def _begin(self, last: int) -> int:
         """First sample of an excited window that ends with `last`."""
-        oldest, lead = last - self.settings.capacity + 1, self.settings.lead
+        oldest = last - self.settings.capacity + 1
+        lead = self.settings.lead
         if not self._driven:
             return max(self._previous_step - lead, oldest)
         while self._rested and self._rested[0] - lead < oldest:

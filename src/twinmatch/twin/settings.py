@@ -156,7 +156,8 @@ class TwinSettings:
         Raises:
             PlantError: there is no such structure.
         """
-        model, first = plant.model(structure), next(iter(plant.outputs.values()))
+        model = plant.model(structure)
+        first = next(iter(plant.outputs.values()))
         running = law_for(plant, period, law)
         return cls(
             plant=plant,
@@ -188,13 +189,15 @@ class TwinSettings:
         prior: dict[str, Prior] = {}
         for each in remembered:
             if each.parameters.model.plant is not self.plant:
-                title, own = each.parameters.model.plant.title, self.plant.title
+                title = each.parameters.model.plant.title
+                own = self.plant.title
                 raise TwinError(f"twin: candidate {each.name} has parameters of {title}; give {own}'s")
             deviations = np.sqrt(np.diag(each.covariance)).tolist()
             values = zip(each.free, deviations, strict=True)
             known = {name: Expectation(each.parameters[name], deviation) for name, deviation in values}
             prior.setdefault(each.parameters.model.structure_name, known)
-        start, usual = remembered[0].parameters, self.plant.model()
+        start = remembered[0].parameters
+        usual = self.plant.model()
         if self.start.model is not usual or self.free != usual.structure.free:
             return replace(self, prior=prior)
         return replace(self, prior=prior, start=start, free=start.model.structure.free)

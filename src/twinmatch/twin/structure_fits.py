@@ -103,7 +103,9 @@ class StructureFits:
             scale: factor on these and the other times.
             prior: what earlier sessions have shown of the parameters, by structure and name.
         """
-        self._noise, self._law, self._matched = noise, law, matched
+        self._noise = noise
+        self._law = law
+        self._matched = matched
         self._models: tuple[Model, ...] = ()
         self._prior = prior
         pace = scale / period
@@ -140,7 +142,8 @@ class StructureFits:
         Choices on samples that do not overlap add their evidence, so that a stretch with little information
         does not change the choice.
         """
-        before, newest = self._compared.window, self._compared.push(window)
+        before = self._compared.window
+        newest = self._compared.push(window)
         if before is None or newest.first > before.last or newest.last < before.last:
             self._chosen_at = None
         aged = self._chosen_at is None or newest.last - self._chosen_at >= self._choose_every
@@ -178,7 +181,9 @@ class StructureFits:
         """Leave what earlier sessions have shown, and the fits that rest on it."""
         rested = [model for model in self._models if model.structure_name in self._prior]
         self._fits = {name: fit for name, fit in self._fits.items() if name not in self._prior}
-        self._prior, self._matched = {}, None  # matches are made in another structure now
+        # matches are made in another structure now
+        self._prior = {}
+        self._matched = None
         if self._fitted.window is not None:
             self._compete(rested, self._fitted.window)
 
@@ -213,7 +218,8 @@ class StructureFits:
         levels = window.outputs if self._law is None else window.references
         point = point_of(np.median(levels, axis=0))
         for model in models:
-            name, free = model.structure_name, model.structure.free
+            name = model.structure_name
+            free = model.structure.free
             if model is self._matched and name not in self._prior:
                 continue
             before = self._fits.get(name)

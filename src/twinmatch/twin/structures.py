@@ -97,7 +97,8 @@ class StructureChoice:
     @property
     def sentence(self) -> str:
         """A sentence on which structure was chosen and how clearly."""
-        best, (y, u) = self.score, self.score.fit
+        best = self.score
+        y, u = self.score.fit
         of_u = "" if math.isnan(u) else f", {100 * u:.1f} % of u"
         text = f"free runs on samples held back choose: {self.chosen} (off by {best.off:.3g} × noise, "
         text += f"{best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
@@ -171,7 +172,9 @@ def choose_structure(
 
 def _worse(costs: FloatArray, least: FloatArray) -> bool:
     """Whether costs, block by block, are higher than the least ones by more than chance."""
-    mean, best, size = (max(float(np.mean(costs)), _TINY), max(float(np.mean(least)), _TINY), costs.size)
+    mean = max(float(np.mean(costs)), _TINY)
+    best = max(float(np.mean(least)), _TINY)
+    size = costs.size
     if not math.isfinite(mean) or size / 2 * math.log(mean / best) > _EQUAL:
         return True
     error = float(np.std(costs - least, ddof=1)) / math.sqrt(size) if size > 1 else math.inf

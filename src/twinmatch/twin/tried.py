@@ -15,10 +15,12 @@ def tried_twins(snapshot: Snapshot) -> tuple[TriedTwin, ...]:
     """All candidates of a snapshot, each with what it leaves open, in their states at the sample after it."""
     members = []
     for name, known in snapshot.outlooks.items():
-        n, sample = known.states.size, known.sample
+        n = known.states.size
+        sample = known.sample
         row = np.array(sample.disturbances) if sample.disturbances else None
         after = advance(known.parameters, known.states, sample.inputs, known.period, row)
-        covariance, inputs = known.covariance[n:, n:], np.array(sample.inputs)
+        covariance = known.covariance[n:, n:]
+        inputs = np.array(sample.inputs)
         members.append(
             TriedTwin(name, known.parameters, known.unsure, covariance, after, inputs, disturbances=row)
         )

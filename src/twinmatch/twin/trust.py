@@ -64,12 +64,16 @@ def check_band(
 
     of_outputs = misses(outputs, forecast.outputs)
     of_inputs = [] if inputs is None else misses(inputs, forecast.inputs)
-    (miss_y, inside_y), (miss_u, inside_u) = _worst(of_outputs), _worst(of_inputs)
-    band, size = forecast.outputs[0], outputs.shape[1]
+    miss_y, inside_y = _worst(of_outputs)
+    miss_u, inside_u = _worst(of_inputs)
+    band = forecast.outputs[0]
+    size = outputs.shape[1]
     known = np.ones(size, dtype=np.bool_) if counted is None else counted
     held = known & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
     came = outputs[0, held if held.any() else known]
-    low, high, last = float(came.min()), float(came.max()), float(came[-1])
+    low = float(came.min())
+    high = float(came.max())
+    last = float(came[-1])
     each = (*of_outputs, *of_inputs)
     return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last, each)
 
@@ -102,7 +106,8 @@ class BandHistory:
             limit: RMS miss, in half widths, from which a band counts as missed.
             noise: noise of the output.
         """
-        self._limit, self._near = limit, _NEIGHBOURS * noise
+        self._limit = limit
+        self._near = _NEIGHBOURS * noise
         self._spans: list[tuple[float, float]] = []
         self.since: int | None = None
         """First sample of the current stretch outside the bands; None while inside."""
@@ -117,7 +122,8 @@ class BandHistory:
             gross = check.miss >= 2.0 * self._limit and check.inside < _MOST
             self.lasts |= first >= self.since + samples or gross
             return
-        self.since, self.lasts = None, False
+        self.since = None
+        self.lasts = False
         self._spans = merged([*self._spans, (check.low, check.high)], self._near)
         self._newest = check.last
 

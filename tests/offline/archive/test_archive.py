@@ -47,7 +47,8 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
     archive_folder: Path, tmp_path: Path
 ) -> None:
-    out, table = tmp_path / "results", tmp_path / "all.json"
+    out = tmp_path / "results"
+    table = tmp_path / "all.json"
     result = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
     assert result.returncode == 3, result.stderr
     assert len(result.stderr.splitlines()) == 1
@@ -89,7 +90,9 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(tmp_path: Path) -> None:
-    session, config, out = tmp_path / "quiet.csv", tmp_path / "config.yaml", tmp_path / "out"
+    session = tmp_path / "quiet.csv"
+    config = tmp_path / "config.yaml"
+    out = tmp_path / "out"
     lines = [f"{k},30.0,{30 + k % 2},10.0" for k in range(130)]
     session.write_text("\n".join(["time,reference,temperature,pwm", *lines]))
     config.write_text("/**:\n  ros__parameters:\n    decimals: 1\n")
@@ -209,7 +212,8 @@ def _is_gone(group: int) -> bool:
 
 def test_work_is_done_even_if_the_second_process_dies() -> None:
     with pool(1) as second:
-        work, other = Beside(second), second.submit(os.getpid).result()
+        work = Beside(second)
+        other = second.submit(os.getpid).result()
         assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), other}
         with pytest.raises(BrokenProcessPool):
             second.submit(os._exit, 1).result()
@@ -272,7 +276,8 @@ RECORD = {"session": "run", "fit": 0.25, "note": "°C"}
 def test_what_is_kept_is_found_under_its_session_and_key_only_and_a_failed_write_leaves_it(
     tmp_path: Path,
 ) -> None:
-    session, namesake = tmp_path / "monday" / "run", tmp_path / "tuesday" / "run"
+    session = tmp_path / "monday" / "run"
+    namesake = tmp_path / "tuesday" / "run"
     store = Store(tmp_path / "new" / "results")
     assert store.find(session, "k") is None
     store.keep(session, "k", RECORD)

@@ -78,7 +78,8 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
 def test_two_workers_find_what_processes_find(address: str, archive_folder: Path, tmp_path: Path) -> None:
     outputs = {}
     for where, choice in (("cluster", ["--scheduler", address]), ("here", ["--jobs", 1])):
-        out, table = tmp_path / where, tmp_path / f"{where}.json"
+        out = tmp_path / where
+        table = tmp_path / f"{where}.json"
         done = run_twinmatch("replay", archive_folder, *choice, "--out", out, "--json", table)
         assert done.returncode == 3, done.stderr
         assert "bad.csv" in done.stderr

@@ -26,13 +26,16 @@ class Command(NamedTuple):
 @pytest.fixture(scope="session")
 def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
     """What it says and writes, and what it was made from."""
-    folder, found, session = tmp_path_factory.mktemp("card"), [], backtest.backtest_outputs
+    folder = tmp_path_factory.mktemp("card")
+    found = []
+    session = backtest.backtest_outputs
 
     def kept(*given: Any, **options: Any) -> tuple[Backtest, ...]:
         found.extend(session(*given, **options))
         return tuple(found[-1:])
 
-    out, picture = folder / "card.json", folder / "card.png"
+    out = folder / "card.json"
+    picture = folder / "card.png"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(backtest, "backtest_outputs", kept)
         done = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)

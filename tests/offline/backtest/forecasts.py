@@ -18,7 +18,8 @@ def forecast_of(
     who: str = "somebody",
 ) -> Forecast:
     """A forecast with these means and bands of constant half width."""
-    y, u = np.asarray(output, dtype=float), np.asarray(entry, dtype=float)
+    y = np.asarray(output, dtype=float)
+    u = np.asarray(entry, dtype=float)
     return Forecast(
         sample=sample,
         candidate=who,
@@ -49,11 +50,14 @@ def linear_loop(reference: FloatArray, random: np.random.Generator, past: Window
     y, u, r = (
         (past.output[-1], past.input[-1], past.reference[-1]) if past else (reference[0], 0.0, reference[0])
     )
-    outputs, entries = [], []
+    outputs = []
+    entries = []
     for wanted in reference:
         new = 0.95 * y + 0.02 * u + 1.0 + 0.1 * random.standard_normal()
         u += 8.0 * ((wanted - new) - 0.9 * (r - y)) + 2.0 * random.standard_normal()
-        u, y, r = float(np.clip(u, -255.0, 255.0)), new, wanted
+        u = float(np.clip(u, -255.0, 255.0))
+        y = new
+        r = wanted
         outputs.append(y)
         entries.append(u)
     return Window(reference, np.array(outputs), np.array(entries), first=past.last + 1 if past else 0)

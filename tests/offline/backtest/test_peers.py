@@ -37,7 +37,8 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
 
 def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int = 30) -> ArxForecast:
     """The model after these samples, shapes (N, o) and (N, m), asked at every `pace` of them."""
-    arx, found = Arx(None, kept), None
+    arx = Arx(None, kept)
+    found = None
     for k, (y, u) in enumerate(zip(outputs.tolist(), inputs.tolist(), strict=True)):
         arx.push(Sample(k, 0, (0.0,) * len(y), tuple(y), tuple(u)))
         if k % pace == pace - 1 or k == len(outputs) - 1:
@@ -60,15 +61,19 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) 
     for order in range(1, MAX_ORDER + 1):
         columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
         theirs = api.WLS(y[rows] - y[rows - 1], columns, weights=weights).fit()
-        n, size = weights.sum(), columns.shape[1]
+        n = weights.sum()
+        size = columns.shape[1]
         found[measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)] = theirs.params
     np.testing.assert_allclose(ours.coefficients[0], found[min(found)], rtol=1e-6, atol=1e-8)
 
 
 def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
     u, y = second_order(400, 0.05, 3)
-    model, kernel, ahead = fitted(y[:, None], u[:, None]), baselines._simulate, u[:20].copy()
-    written, known = model.forecast(ahead, None), len(kernel.signatures)
+    model = fitted(y[:, None], u[:, None])
+    kernel = baselines._simulate
+    ahead = u[:20].copy()
+    written = model.forecast(ahead, None)
+    known = len(kernel.signatures)
     ahead.flags.writeable = False
     np.testing.assert_array_equal(model.forecast(ahead, None), written)
     assert len(kernel.signatures) == known
@@ -77,7 +82,8 @@ def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
 def test_one_signal_is_the_case_of_several() -> None:
     """Two plants that have nothing in common: each is forecast as well as alone, but for what the other's
     coefficients, true ones zero, cost."""
-    (u, y), (v, z) = second_order(2000, 0.05, 4), second_order(2000, 0.05, 5)
+    u, y = second_order(2000, 0.05, 4)
+    v, z = second_order(2000, 0.05, 5)
     alone = fitted(y[:1900, None], u[:1900, None]).forecast(u[1900:], None)[0]
     both = fitted(np.column_stack([y, z])[:1900], np.column_stack([u, v])[:1900])
     beside = both.forecast(np.column_stack([u, v])[1900:], None)[0]
@@ -168,8 +174,11 @@ def test_arx_beats_persistence_on_a_recorded_hour(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
     """Every five minutes of the second half: it knows the set-points, which persistence cannot use."""
-    hour, law = recorded_hour(number), Peltier.loop
-    arx, state, errors = Arx(law, 1.0), np.zeros(law.n_states), []
+    hour = recorded_hour(number)
+    law = Peltier.loop
+    arx = Arx(law, 1.0)
+    state = np.zeros(law.n_states)
+    errors = []
     for k in range(len(hour) - 301):
         row = hour.references[k], hour.outputs[k], hour.inputs[k]
         state = law.follow(state, *row)

@@ -242,13 +242,16 @@ HORIZONS = (10.0, 60.0)
 def tested() -> Backtest:
     """Ten minutes of a loop, forecast by those who need no twin."""
     loop = linear_loop(set_points(600, 21), np.random.default_rng(22))
-    marked, shown, arx = [], [], Arx(Peltier.loop, 1.0)
+    marked = []
+    shown = []
+    arx = Arx(Peltier.loop, 1.0)
     held = {origin.sample: origin for origin in origins([loop], regular([loop], 60.0), HORIZONS)}
     for sample in samples_of(loop):
         arx.push(sample)
         if sample.index in held:
             for name, forecast in ask(arx.departure(np.zeros(2)), held[sample.index]).items():
-                origin, who = held[sample.index], PEERS[name]
+                origin = held[sample.index]
+                who = PEERS[name]
                 marked += mark("loop", who, forecast, origin, horizons=HORIZONS, plant=Peltier)
                 shown.append(forecast)
     return Backtest(

@@ -157,7 +157,8 @@ def test_marks_count_in_units_of_the_noise() -> None:
 @given(st.integers(1, 30), st.integers(0, 100))
 def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> None:
     random = np.random.default_rng(seed)
-    y, u = random.normal(50.0, 20.0, count), random.uniform(-255.0, 255.0, count)
+    y = random.normal(50.0, 20.0, count)
+    u = random.uniform(-255.0, 255.0, count)
     (found,) = marks(forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier)
     assert found.error == found.output.end == found.input.end == 0.0
     assert found.output.coverage == found.input.coverage == 1.0

@@ -56,14 +56,16 @@ def test_a_known_plant_is_forecast_to_its_noise() -> None:
 
 
 def test_forecasts_know_nothing_of_later_samples() -> None:
-    whole, changed = heated(), heated()
+    whole = heated()
+    changed = heated()
     y = changed.outputs.copy()
     y[1300:] += 5.0
     changed = replace(changed, outputs=y)
     choices = Choices(every=20.0, horizons=(100.0,))
     (before, _), (after, _) = (backtest_each(session(w), Heaters, choices) for w in (whole, changed))
     for who in (LEADER, *PEERS.values()):
-        one, other = ends(before, who, 100.0), ends(after, who, 100.0)
+        one = ends(before, who, 100.0)
+        other = ends(after, who, 100.0)
         known = [k for k in one if k + 50 < 1300]
         assert len(known) > 20
         assert [one[k] for k in known] == [other[k] for k in known]
@@ -82,7 +84,8 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     run = simulate_driven(kit, u, states=begin(kit, [30.0, 28.0]))
     y = run.outputs + 0.1 * np.random.default_rng(2).standard_normal(u.shape)
     y[1540:, 1] += 5.0
-    path, card = tmp_path / "kit", tmp_path / "card.json"
+    path = tmp_path / "kit"
+    card = tmp_path / "card.json"
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
     done = run_twinmatch("backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60)
     assert done.returncode == 0, done.stderr

@@ -295,7 +295,8 @@ def test_a_layout_is_written_when_the_plant_says_what_it_is(
 def test_what_a_sensor_should_read_reaches_the_viewer_beside_a_column_for_each_signal(
     serve: Callable[..., Any], graph: Callable[..., Graph], view: Callable[..., Any], tmp_path: Path
 ) -> None:
-    out, rig = tmp_path / "two.json", graph("rig_a")
+    out = tmp_path / "two.json"
+    rig = graph("rig_a")
     serving = serve("--namespace", "/rig_a", "--layout", str(out))
     describer = rig.node.create_publisher(PlantDescription, "plant/description", LATCHED)
     describer.publish(description_message(description_of(TCLabBoth), 1.0))

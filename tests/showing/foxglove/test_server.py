@@ -256,7 +256,8 @@ def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) 
         for kind in ("references", "outputs", "inputs")
     }
     made = layout(replace(two, **kinds))
-    panels, places = made["configById"], made["layout"]
+    panels = made["configById"]
+    places = made["layout"]
     assert sorted(placed(places, panels)) == sorted(panels)
     for k in range(loops):
         ending = f"_{k + 1}" if k else ""
@@ -266,7 +267,8 @@ def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) 
         assert paths == [
             f"/twin/state.{name}[{k}]" for name in ("closed_residual_y", "driven_residual_y", "driven_rms_y")
         ]
-    charts, shares = places["first"], []
+    charts = places["first"]
+    shares = []
     if loops > 4:
         assert (charts["direction"], charts["splitPercentage"]) == ("column", 50)
         charts = charts["first"]

@@ -101,7 +101,8 @@ def test_loopback_names_get_the_page_and_its_websocket(page: Any, browser: Any, 
 
 def test_the_viewers_server_opens_for_local_pages_alone(page: Any, browser: Any, elsewhere: str) -> None:
     server = GraphServer("rig", "127.0.0.1", 0)
-    viewer, found = ["foxglove.sdk.v1"], {}
+    viewer = ["foxglove.sdk.v1"]
+    found = {}
     for place in (page.url, elsewhere):
         browser.driver.get(place)
         for name in ("127.0.0.1", FOREIGN):

@@ -104,7 +104,8 @@ def test_prometheus_reads_what_the_page_knows(server: PageServer, state: Dashboa
 
 
 def test_errors_and_coverage_are_those_of_the_leader(state: DashboardState) -> None:
-    verdict, found = state.verdict, numbers(state)
+    verdict = state.verdict
+    found = numbers(state)
     assert verdict is not None
     leading = verdict.leading
     assert leading is not None

@@ -34,7 +34,8 @@ from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.showing.page.mqtt_outlet import MqttOutlet, messages_of
 from twinmatch.showing.page.state import DashboardState, DriveReport
 
-STATE, STATUS = "twinmatch/peltier/state", "twinmatch/peltier/status"
+STATE = "twinmatch/peltier/state"
+STATUS = "twinmatch/peltier/status"
 HORIZONS = (10.0, 60.0, 300.0)
 
 

@@ -46,7 +46,8 @@ def fill(state: DashboardState, first: int, number: int, period: float = 0.1) ->
 
 
 def opened(state: DashboardState, now: float = 0.0) -> tuple[Tab, Document]:
-    page, document = Tab(state, Nothing(), clock=lambda: now), Document()
+    page = Tab(state, Nothing(), clock=lambda: now)
+    document = Document()
     page.build(document)
     return page, document
 
@@ -68,7 +69,8 @@ def test_no_line_has_more_points_than_a_screen(samples: int) -> None:
     drawn = feed.source.data["t"]
     assert len(drawn) <= POINTS + 2
     stride = stride_for(samples)
-    newest, oldest = drawn[-1] / 0.1, drawn[0] / 0.1
+    newest = drawn[-1] / 0.1
+    oldest = drawn[0] / 0.1
     assert 2 * samples - 1 - stride <= newest <= 2 * samples - 1
     assert samples - 2 * stride <= newest - oldest + 1 <= samples + stride
     assert np.all(np.diff(drawn) > 0)
@@ -86,7 +88,9 @@ def push(history: RollingTable, number: int, value: float) -> None:
 
 
 def test_only_what_is_new_is_sent() -> None:
-    (history, feed), sent, document = fed(100), [], Document()
+    history, feed = fed(100)
+    sent = []
+    document = Document()
     document.add_root(feed.source)
     document.on_change(sent.append)
     feed.update(1.0, 500)
@@ -121,7 +125,8 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         early.update()
     _, second = opened(state)
     for chart, renderer in (("output", 0), *((name, k) for name in ("matrix", "happened") for k in (0, 1))):
-        one, other = source(first, chart, renderer).data, source(second, chart, renderer).data
+        one = source(first, chart, renderer).data
+        other = source(second, chart, renderer).data
         assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
     for name in ("first", "reasons", "family", "events", "tiles", "status"):
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
@@ -130,7 +135,8 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
 def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     count = len(last.candidates)
-    low, high = tuple(0.1 * k for k in range(count)), tuple(0.1 * k + 0.05 for k in range(count))
+    low = tuple(0.1 * k for k in range(count))
+    high = tuple(0.1 * k + 0.05 for k in range(count))
     sure = replace(
         last, candidates=tuple(replace(c, nu_gap_low=low, nu_gap_high=high) for c in last.candidates)
     )
@@ -138,7 +144,8 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         state = DashboardState()
         state.push_verdict(verdict)
         _, document = opened(state)
-        cells, sums = source(document, "matrix", 0).data, source(document, "matrix", 2).data
+        cells = source(document, "matrix", 0).data
+        sums = source(document, "matrix", 2).data
         nominal = str(1 + [c.name for c in verdict.candidates].index(verdict.nominal or ""))
         assert cells["gap"] == [gap for line in verdict.nu_gap for gap in line]
         assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
@@ -148,13 +155,15 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
 
 def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged: Judgement) -> None:
     """Columns bear numbers, rows the names on two lines at most; tooltips say all of it."""
-    verdict, name = judged.verdicts[-1], "sink with mass, free ambient, free ripple, sensor lag"
+    verdict = judged.verdicts[-1]
+    name = "sink with mass, free ambient, free ripple, sensor lag"
     eight = tuple(replace(verdict.candidates[0], name=f"{name}, {k}") for k in range(8))
     gaps = tuple(tuple(abs(i - j) / 10 for j in range(8)) for i in range(8))
     state = DashboardState()
     state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
     _, document = opened(state)
-    chart, cells = document.get_model_by_name("matrix"), source(document, "matrix", 0).data
+    chart = document.get_model_by_name("matrix")
+    cells = source(document, "matrix", 0).data
     assert chart.x_range.factors == [str(k) for k in range(1, 9)]
     assert len(set(chart.y_range.factors)) == 9
     for row in chart.y_range.factors:
@@ -243,7 +252,8 @@ def test_the_form_asks_what_is_entered() -> None:
     button._trigger_event(ButtonClick(button))
     assert heard == []  # nothing was entered
     for hold in (None, 90.0):
-        level.value, time.value = 55.0, hold
+        level.value = 55.0
+        time.value = hold
         button._trigger_event(ButtonClick(button))
     assert heard == [(55.0, None), (55.0, 90.0)]
     buttons = rig_form(Asked(), "").children

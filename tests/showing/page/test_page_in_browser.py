@@ -46,7 +46,8 @@ from twinmatch_msgs.msg import (
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("page")]
 
-FORECAST, ANSWER = 3, 6
+FORECAST = 3
+ANSWER = 6
 """Where the chart of the output draws what comes next, among its lines."""
 
 
@@ -212,7 +213,8 @@ def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
         return list(browser.column("output", 0, "t"))
 
     wait_for(lambda: len(shown()) > 20, "the first samples", meanwhile=publish)
-    picture, before = browser.picture("output"), shown()[-1]
+    picture = browser.picture("output")
+    before = shown()[-1]
     wait_for(lambda: shown()[-1] >= before + 50, "more samples", meanwhile=publish)
     assert browser.picture("output") != picture
     browser.wait_for(lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample")
@@ -282,7 +284,8 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     graph: Graph, browser: Any, judged: Judgement, node: Callable[..., Process]
 ) -> None:
     """A real discriminator: its forecast ahead of the newest sample, its answer beside the question."""
-    discriminator, _ = node("discriminator"), node("matcher")
+    discriminator = node("discriminator")
+    _ = node("matcher")
     browser.wait_for(lambda: graph.heard("plant/sample") == 2, "the discriminator")
     browser.wait_for(lambda: graph.node.count_publishers("twin/match"), "the matcher")
     graph.session(list(judged.samples))

@@ -53,7 +53,8 @@ def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
 def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     criteria = computed(last.modelled)
-    chosen, every = panels.family_table(last, every=False), panels.family_table(last, every=True)
+    chosen = panels.family_table(last, every=False)
+    every = panels.family_table(last, every=True)
     for candidate in last.modelled:
         lines = [line for line in criterion_rows(candidate, criteria) if line.output == "total"]
         assert {cell.text for line in lines for cell in line.cells} <= set(words(every))

@@ -30,14 +30,16 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
     page_process: Callable[..., Any], browser: Any, two: Judgement
 ) -> None:
     with listening() as made:
-        graph, started = Graph(made.node), page_process()
+        graph = Graph(made.node)
+        started = page_process()
         browser.open(started.url)
         for name in ("plant/sample", "twin/state", "twin/model_score", "plant/estimate"):
             browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
         graph.describe(TCLabBoth)
         browser.wait_for(lambda: "temperature T2 / °C" in browser.text, "the plant's own words")
         graph.session(two.samples[-200:], two)
-        (course,), last = two.estimates, two.samples[-1]
+        course = two.estimates
+        last = two.samples[-1]
         rest = {"since": course.first, "wide": course.wide, "good": course.good}
         estimate = EstimatedReading(last.index, course.signal, 31.8, 0.4, 36.8, **rest)
         graph.publish("plant/estimate", message_of(estimate, last.stamp))

@@ -23,14 +23,16 @@ from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import trust_by_signal
 from twinmatch.twin import Mirror
 
-T1, T2 = "temperature T1", "temperature T2"
+T1 = "temperature T1"
+T2 = "temperature T2"
 KINDS = ("output", "control", "residual", "control_residual")
 
 
 @pytest.fixture(scope="module")
 def state(two: Judgement) -> DashboardState:
     """After the whole session."""
-    state, mirror = DashboardState(), Mirror(two.settings.start, two.settings.law)
+    state = DashboardState()
+    mirror = Mirror(two.settings.start, two.settings.law)
     state.push_sample(two.samples[0], 0.0)
     assert state.sample is None  # nobody has said yet what plant this is
     state.describe(description_of(TCLabBoth))
@@ -77,11 +79,13 @@ def test_every_signal_is_drawn_in_a_column_of_its_own(document: Document, two: J
 
 
 def test_each_forecast_is_drawn_on_its_signals_charts(state: DashboardState) -> None:
-    time, at = np.arange(1.0, 61.0), state.sample
+    time = np.arange(1.0, 61.0)
+    at = state.sample
     assert at is not None
     signals = [Band(np.full(60, float(k)), np.full(60, k - 1.0), np.full(60, k + 1.0)) for k in range(4)]
     asked = np.tile([50.0, 40.0], (60, 1))
-    outputs, inputs = tuple(signals[:2]), tuple(signals[2:])
+    outputs = tuple(signals[:2])
+    inputs = tuple(signals[2:])
     state.push_forecast(Forecast(at, "twin", "", 0.9, time, asked, outputs, inputs))
     _, document = opened(state)
     for k, ending in enumerate(("", "_2")):
@@ -97,7 +101,8 @@ def test_each_forecast_is_drawn_on_its_signals_charts(state: DashboardState) -> 
 def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     state: DashboardState, two: Judgement
 ) -> None:
-    first, tiles = panels.first_screen(state), panels.tiles(state)
+    first = panels.first_screen(state)
+    tiles = panels.tiles(state)
     (course,) = two.estimates
     said = f"the twin reads through {T2}: {course.values[-1]:.1f} ± {course.bands[-1]:.1f} °C"
     assert said in first

@@ -90,7 +90,10 @@ def test_envelope_keeps_the_order_within_a_group_and_shows_what_is_missing() -> 
 )
 def test_reading_piece_by_piece_is_reading_all(pushes: list[int], stride: int, capacity: int) -> None:
     """A reader that looks before rows are forgotten sees every group once, in order."""
-    history, row, seen, total = RollingTable(("value",), capacity), 0, [], 0
+    history = RollingTable(("value",), capacity)
+    row = 0
+    seen = []
+    total = 0
     for number in pushes:
         for _ in range(number):
             history.push(total, (float(total % 11),))
@@ -116,7 +119,8 @@ def twin_row(value: float) -> TwinRow:
 
 @pytest.mark.parametrize("period", [0.1, 0.25, 1.0, 2.5])
 def test_the_period_is_found_from_the_stamps_however_they_jitter(period: float) -> None:
-    state, random = DashboardState(), np.random.default_rng(3)
+    state = DashboardState()
+    random = np.random.default_rng(3)
     for k in range(100):
         late = int(random.uniform(0, 0.01 * period) * SECOND)
         shaken = sample(k, period)
@@ -209,7 +213,8 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
 
 @pytest.mark.parametrize("heard", [0, 1, 2, 5])
 def test_a_fault_is_dated_by_its_stamp_whatever_was_received_before_it(heard: int) -> None:
-    state, samples = DashboardState(), [sample(k, 0.5) for k in range(3, 8)]
+    state = DashboardState()
+    samples = [sample(k, 0.5) for k in range(3, 8)]
     for one in samples[:heard]:
         state.push_sample(one, 0.0)
     state.push_drive(DriveReport(0.0, math.nan, "stopped: as asked", samples[1].stamp + 125_000_000))

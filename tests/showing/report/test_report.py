@@ -180,7 +180,8 @@ def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
         ("plants", verdict.nu_gap, sums),
         (f"models of order {verdict.order}", verdict.identified_gap, identified),
     ):
-        rows, count = grid(tables_of(page)[f"ν-gap between the {between}"]), len(gaps)
+        rows = grid(tables_of(page)[f"ν-gap between the {between}"])
+        count = len(gaps)
         shown = np.array([[float(c.text) for c in row[1 : count + 2]] for row in rows])
         np.testing.assert_allclose(shown, np.column_stack([gaps, known]), atol=5.1e-4)
         bold = [k for k, row in enumerate(rows) if "best" in row[count + 1].classes]

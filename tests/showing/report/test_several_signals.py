@@ -18,7 +18,8 @@ from twinmatch.showing.report.words import plain_words, session_facts
 from twinmatch.showing.verdicts import trust_by_signal
 from twinmatch.twin import TwinSettings
 
-T1, T2 = "temperature T1", "temperature T2"
+T1 = "temperature T1"
+T2 = "temperature T2"
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +79,8 @@ def test_each_output_is_compared_with_its_measurements(document: Element, kit_re
 
 
 def test_the_family_is_listed_without_models(document: Element, two: Judgement) -> None:
-    tables, last = tables_of(document), two.verdicts[-1]
+    tables = tables_of(document)
+    last = two.verdicts[-1]
     family = grid(tables["Parameters of the family, with 95 % intervals"])
     assert [row[0].text for row in family] == [candidate.name for candidate in last.candidates]
     assert all(re.fullmatch(r"\d+ to \d+", row[1].text) for row in family)
@@ -108,7 +110,8 @@ def test_in_a_known_loop_its_commands_are_shown_likewise() -> None:
     labels = [axes.get_ylabel() for axes in session.axes]
     off = ["plant − twin / °C", "plant − twin / %"]
     assert labels == ["first / °C", "first power / %", *off, "second / °C", "second power / %", *off]
-    facts, fits = dict(session_facts(judged)), judged.summary.fits
+    facts = dict(session_facts(judged))
+    fits = judged.summary.fits
     assert fits is not None
     for name, share in zip(four, (*fits.outputs, *fits.inputs), strict=True):
         (said,) = (

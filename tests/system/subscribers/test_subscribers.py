@@ -218,7 +218,8 @@ def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> N
 @needs_cyclone
 def test_cyclone_reads_every_sample(played: Played, session: Path) -> None:
     """Reliable: from when it has found the player on, all of them, to the last bit."""
-    samples, heard = read_session(session).samples, played.samples
+    samples = read_session(session).samples
+    heard = played.samples
     assert heard == [[s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]]
     assert len(heard) >= len(samples) - SETTLED
 
@@ -250,7 +251,8 @@ def test_the_pages_verdicts_nominal_forecasts_and_what_if(
     last = read_session(session).samples[-1].index
     told = rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
     played.programs["forecasts"].said(told)
-    nominal, late = programs.start(page / "nominal.py"), programs.start(page / "what_if.py", **KEPT_IN)
+    nominal = programs.start(page / "nominal.py")
+    late = programs.start(page / "what_if.py", **KEPT_IN)
     nominal.said(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$")
     late.said(rf", from sample {last} on$")
     late.said(r"^60 °C: \d+ s \(\d+ to \d+ s\)$")

@@ -36,8 +36,10 @@ def installed(project: Path, stranger: dict[str, str]) -> Path:
         pytest.skip("no colcon with ament_cmake: sh .ci/debian_tools.sh workspace")
     if not (Path(sys.prefix) / "share" / "rosidl_generator_py").is_dir():
         pytest.skip("ROS 2 does not come from wheels here")
-    messages, folder = project / "src" / "twinmatch_msgs", project / "build" / "workspace"
-    stamp, key = folder / "complete", key_of(messages, HERE / "wheels_shim.py", Path(__file__))
+    messages = project / "src" / "twinmatch_msgs"
+    folder = project / "build" / "workspace"
+    stamp = folder / "complete"
+    key = key_of(messages, HERE / "wheels_shim.py", Path(__file__))
     with locked(folder.with_suffix(".lock")):
         if not stamp.exists() or stamp.read_text() != key:
             shutil.rmtree(folder, ignore_errors=True)

@@ -51,7 +51,9 @@ def other_python(
         pytest.skip("ROS 2 does not come from wheels here")
     sources = project / "src" / "twinmatch_msgs"
     folder = project / "build" / "subscriber_venv"
-    key, stamp, python = key_of(sources), folder / "complete", folder / "bin" / "python"
+    key = key_of(sources)
+    stamp = folder / "complete"
+    python = folder / "bin" / "python"
     # pip keeps what it has downloaded in the caller's home, not in the stranger's empty one.
     environment = {**stranger, "HOME": os.environ.get("HOME", stranger["HOME"])}
     with locked(project / "build" / "subscriber_venv.lock"):

@@ -90,7 +90,8 @@ class EmulatedSource:
             _log.warning("%s", error)
             fed = None
         if fed is not None:
-            self._plate, self._fed = fed, now
+            self._plate = fed
+            self._fed = now
         silent = now - self._fed > _PATIENCE
         if silent and not self._silent:
             _log.warning("no plate temperature on %s; no frames until one comes", self._feed)

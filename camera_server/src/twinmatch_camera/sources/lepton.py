@@ -96,7 +96,8 @@ class LeptonSource:
             self._last_frame = now
             moved = taken.frame_counter != self._last_counter
             if moved or now - self._last_passed >= _REPEAT_AFTER:
-                self._last_counter, self._last_passed = taken.frame_counter, now
+                self._last_counter = taken.frame_counter
+                self._last_passed = now
                 return taken
         return None
 

@@ -88,7 +88,8 @@ class RecordedSource:
                 self._begin_round(self._next, time.monotonic_ns() + round(_PAUSE_BETWEEN_ROUNDS * 1e9))
 
     def _begin_round(self, frame: ThermalFrame, start: int) -> None:
-        self._first, self._start = frame.stamp, start
+        self._first = frame.stamp
+        self._start = start
 
     def _load(self) -> ThermalFrame | None:
         """The next frame, or None at the end of the file, be it between frames or in the midst of one."""

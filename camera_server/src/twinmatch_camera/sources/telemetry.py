@@ -25,7 +25,8 @@ def exposure(image: CountArray, rows: CountArray, stamp: int) -> Exposure:
         rows: telemetry rows A, B, C, shape (3, 80).
         stamp: when it was complete, on this computer's monotonic clock, ns.
     """
-    a, c = [int(word) for word in rows[0]], rows[2]
+    a = [int(word) for word in rows[0]]
+    c = rows[2]
     status, uptime, corrected = (a[k + 1] << 16 | a[k] for k in (3, 1, 30))
     flags = FrameFlags.NONE if c[48] else FrameFlags.NOT_RADIOMETRIC
     for bit, flag in _FLAGS.items():

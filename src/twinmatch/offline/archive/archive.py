@@ -67,8 +67,10 @@ def judge_archive(
         watch: called with (sessions done, total) after each session.
         on_skip: called with each session that cannot be used.
     """
-    paths, terms = find_sessions(named), _terms(config, candidates, plant, document)
-    store, skip = Store(out) if out else None, on_skip or (lambda _failure: None)
+    paths = find_sessions(named)
+    terms = _terms(config, candidates, plant, document)
+    store = Store(out) if out else None
+    skip = on_skip or (lambda _failure: None)
     report = watch or (lambda _done, _total: None)
     todo: list[Job] = []
     keys: dict[int, str] = {}
@@ -97,7 +99,8 @@ def judge_archive(
             hold(number, kept)
         else:
             todo.append(Job(number, path.resolve(), content, terms))
-    reused, known = len(records), len(paths) - len(todo)
+    reused = len(records)
+    known = len(paths) - len(todo)
     report(known, len(paths))
     with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
         for done, (number, record, why) in enumerate(outcomes, known + 1):

@@ -104,7 +104,8 @@ def _record(job: Job) -> dict[str, Any]:
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError  # noqa: PLC0415
 
-    terms, session = job.terms, open_any(job.path)
+    terms = job.terms
+    session = open_any(job.path)
     settings = terms.settings
     if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
         raise SessionError(f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}")
@@ -127,7 +128,8 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     from twinmatch.record import finite  # noqa: PLC0415
     from twinmatch.twin import window_fits  # noqa: PLC0415
 
-    law, longest = judgement.settings.law, max(judgement.stretches, key=len)
+    law = judgement.settings.law
+    longest = max(judgement.stretches, key=len)
     rows = []
     for candidate, known in zip(
         judgement.verdicts[-1].family, entry["verdicts"][-1]["candidates"], strict=False

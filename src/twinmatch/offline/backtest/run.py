@@ -106,7 +106,9 @@ def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
     """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
     with one_thread():
         forecasts = arx.referees(origin.ahead, origin.disturbances)
-    past, size, outputs = origin.past, origin.count, origin.past.outputs.shape[1]
+    past = origin.past
+    size = origin.count
+    outputs = origin.past.outputs.shape[1]
     unknown = np.full(size, np.nan)
     bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts]
     return {
@@ -250,11 +252,15 @@ class Listener:
         choices: Choices,
         work: Beside | None = None,
     ) -> None:
-        scored, period = settings.forecasts, settings.period
+        scored = settings.forecasts
+        period = settings.period
         self.horizons = choices.ahead(scored.horizons, period)
-        self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
+        self.common = _Common(session, settings, self.horizons, choices.peers)
+        self.work = work or Beside()
         self._every = SPARSER * scored.every if choices.every is None else choices.every
-        self._samples, self._settings, self._taught = samples, settings, bool(settings.plant.typical)
+        self._samples = samples
+        self._settings = settings
+        self._taught = bool(settings.plant.typical)
         self._lay_out()
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
@@ -287,8 +293,10 @@ class Listener:
 
 
 def _outlooks(twin: Twin) -> _Outlooks:
-    forecaster, nominal = twin.discriminator.forecaster, twin.discriminator.nominal
-    names, structures = forecaster.names, twin.settings.plant.structures
+    forecaster = twin.discriminator.forecaster
+    nominal = twin.discriminator.nominal
+    names = forecaster.names
+    structures = twin.settings.plant.structures
     who = {
         LEADER: forecaster.leader,
         NOMINAL: nominal.name if nominal else None,
@@ -312,7 +320,8 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
             parameters = asked.outlooks[name].parameters
             same = with_constant_band(forecasts[name], parameters, origin.past, settings.law)
         made.append((CONSTANT, name, same))
-    peers, marked = ask(asked.arx, origin), []
+    peers = ask(asked.arx, origin)
+    marked = []
     for k, plant in outputs_alone(settings.plant):
         scored = partial(scores, session, horizons, origin.alone(k), plant, k)
         best = best_in_hindsight(scored((name, name, forecast) for name, forecast in forecasts.items()))
@@ -376,7 +385,8 @@ def graded_outputs(
 
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
-    plant, period = judgement.settings.plant, judgement.settings.period
+    plant = judgement.settings.plant
+    period = judgement.settings.period
     results: list[tuple[_Graded, list[float]]] = []
     spoilt = unasked = 0
     total = len(listener.graded)

@@ -122,7 +122,8 @@ def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: ty
         if held < count:
             msg = f"backtest: a horizon of {horizon:g} s needs {count} samples; only {held} can be compared"
             raise BacktestError(msg)
-    confidence, seen = forecast.confidence, came.seen
+    confidence = forecast.confidence
+    seen = came.seen
     outputs = _signal(forecast.output, came.output, plant.output.noise, confidence, counts, seen=seen)
     if not forecast.closed:
         return [Marks(output, None) for output in outputs]
@@ -144,7 +145,8 @@ def _signal(
     error = x - mean
     inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
     scores = interval_score(low, high, x, confidence)
-    everything, made = np.array([inside, high - low, scores]), []
+    everything = np.array([inside, high - low, scores])
+    made = []
     for count in counts:
         received = slice(count) if seen is None else np.flatnonzero(seen[:count])
         coverage, width, score = everything[:, received].mean(axis=1).tolist()
@@ -338,7 +340,8 @@ class Backtest:
 
 def over_all(tests: Sequence[Backtest]) -> Backtest:
     """Combine several sessions of one plant; every forecast has the same weight."""
-    first, names = tests[0], [each.name for each in tests]
+    first = tests[0]
+    names = [each.name for each in tests]
     marked: list[Marked] = []
     for number, each in enumerate(tests, 1):
         mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name

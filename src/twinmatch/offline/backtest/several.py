@@ -84,7 +84,8 @@ def backtest_outputs(
             left to forecast.
     """
     with beside(possible=second) as work:
-        session, choices = open_any(path, progress=progress, plant=plant), choices or Choices()
+        session = open_any(path, progress=progress, plant=plant)
+        choices = choices or Choices()
         kind = plant_named(session.plant) if session.plant else Peltier
         if len(kind.outputs) == 1 and len(kind.drives) == 1:
             terms = terms_from_files(session, config, candidates)
@@ -130,7 +131,8 @@ def backtest_each(
     watch: Watch | None = None,
 ) -> tuple[Backtest, ...]:
     """The backtests of all outputs of a plant on a session; see `backtest_outputs`."""
-    period, held = session.period, stretches(session.samples, session.period)
+    period = session.period
+    held = stretches(session.samples, session.period)
     settings = ForecastSettings.of(plant_scale(plant, period), period)
     horizons = choices.ahead(settings.horizons, period)
     split = session.samples[int(FITTED * len(session.samples))].index

@@ -25,7 +25,8 @@ _LETTERS: Final = 100
 def draw_answer(answer: ControllerAnswer) -> Figure:
     """A row for each output with its set-points, then one for each command."""
     plant = answer.plant
-    outputs, drives = list(plant.outputs.items()), list(plant.drives.items())
+    outputs = list(plant.outputs.items())
+    drives = list(plant.drives.items())
     ratios = [2.0] * len(outputs) + [1.4] * len(drives)
     figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
     axes = stack(figure, ratios)
@@ -46,9 +47,12 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
 @styled
 def draw_experiment(found: NextExperiment) -> Figure:
     """A row for each output with the bands of all twins, then one for each command."""
-    plant, rows, terms = found.leader.parameters.model.plant, found.course.rows, found.terms
+    plant = found.leader.parameters.model.plant
+    rows = found.course.rows
+    terms = found.terms
     time = np.arange(len(rows), dtype=np.float64) * terms.holding.period
-    outputs, drives = list(plant.outputs.items()), list(plant.drives.items())
+    outputs = list(plant.outputs.items())
+    drives = list(plant.drives.items())
     ratios = [2.0] * len(outputs) + [1.4] * len(drives)
     figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
     axes = stack(figure, ratios)
@@ -59,7 +63,8 @@ def draw_experiment(found: NextExperiment) -> Figure:
         if terms.holding.law is not None:
             draw_set_point(axes[j], time, rows[:, j], 0.9, named=not j)
         for k, run in enumerate(found.course.runs):
-            middle, half = run.outputs[:, j], run.bands[:, j]
+            middle = run.outputs[:, j]
+            half = run.bands[:, j]
             label = "all twins, with their 90 % bands" if not k else None
             axes[j].plot(time, middle, color=CLOSED, lw=0.8, label=label)
             axes[j].fill_between(time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0)

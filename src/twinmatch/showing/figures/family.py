@@ -63,7 +63,8 @@ def draw_criteria(verdict: Verdict) -> Figure:
         _draw_bars(axes, verdict, attribute)
         axes.set_title(f"{name} ({hint})")
         if k == 0:
-            named, title = axes.get_legend_handles_labels(), "order; a black frame marks the chosen one"
+            named = axes.get_legend_handles_labels()
+            title = "order; a black frame marks the chosen one"
             figure.legend(*named, loc="outside upper right", ncols=len(ORDERS), title=title, title_fontsize=8)
     return figure
 
@@ -84,7 +85,8 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
     width = 0.8 / len(orders)
     table = np.array([[getattr(o.total, attribute) for o in c.orders] for c in candidates], dtype=float)
     for k, order in enumerate(orders):
-        values, shifted = _above_best(table, attribute)[:, k], places + (k - (len(orders) - 1) / 2) * width
+        values = _above_best(table, attribute)[:, k]
+        shifted = places + (k - (len(orders) - 1) / 2) * width
         bars = axes.bar(shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)])
         for bar, candidate in zip(bars, candidates, strict=True):
             if candidate.chosen_order == order:
@@ -187,7 +189,8 @@ def _draw_parameter(
         spread = np.abs(np.where(np.isfinite(ends), ends, values) - values)
         axes.errorbar(list(points), values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
         everything += values.tolist()
-    low, high = min(everything), max(everything)
+    low = min(everything)
+    high = max(everything)
     margin = 0.25 * (high - low) + 0.05 * abs(high) + 1e-9
     axes.set_ylim(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin)
 
@@ -218,8 +221,10 @@ def draw_responses(members: Sequence[Member]) -> Figure:
 
 def _draw_member(upper: Axes, control: Axes, member: Member, k: int) -> None:
     """The k-th output and input."""
-    window, order = member.window.alone(k), member.score.chosen_order
-    twin, model = member.quiet_twin.alone(k), member.simulated(order) if member.modelled else None
+    window = member.window.alone(k)
+    order = member.score.chosen_order
+    twin = member.quiet_twin.alone(k)
+    model = member.simulated(order) if member.modelled else None
     time = window.time[SKIPPED:]
     closed = member.settings.law is not None
     draw_outputs(upper, window, closed=closed, lw=1.4)
@@ -281,7 +286,8 @@ def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Seque
     """Difference of every twin of the family from the nominal one, and the band they span."""
     nominal = next((k for k, m in enumerate(members) if m.nominal), 0)
     difference = table - table[nominal]
-    low, high = np.min(difference, axis=0), np.max(difference, axis=0)
+    low = np.min(difference, axis=0)
+    high = np.max(difference, axis=0)
     axes.fill_between(time, low, high, color=CLOSED, alpha=0.2, lw=0)
     for k, colour in enumerate(family_colours(len(members))):
         if k != nominal:

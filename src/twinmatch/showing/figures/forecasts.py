@@ -48,7 +48,8 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
     if not fans:
         empty(figure.add_subplot(), "no forecast was made")
         return figure
-    grids, signals = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06), signal_names(plant)
+    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
+    signals = signal_names(plant)
     for k, fan in enumerate(fans):
         output, error, control = stack(figure, (3, 1.6, 2), grids[k // columns, k % columns])
         _draw(output, control, fan)
@@ -68,7 +69,9 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
 
 
 def _draw(output: Axes, control: Axes, fan: Fan) -> None:
-    forecast, past, measured = fan.forecast, fan.past, fan.measured
+    forecast = fan.forecast
+    past = fan.past
+    measured = fan.measured
     known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
@@ -80,7 +83,8 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
         _fill(axes, forecast.time, band, label=_BAND)
         axes.plot(known, before, color=PLANT, lw=1.1, label="measured before")
         if after is not None:
-            time, dotted = forecast.time[: after.size], (0, (1, 1))
+            time = forecast.time[: after.size]
+            dotted = (0, (1, 1))
             axes.plot(time, after, color=PLANT, lw=1.1, ls=dotted, label="measured afterwards")
         axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
         axes.axvline(0, color=SET_POINT, lw=0.8)
@@ -96,7 +100,8 @@ def _fill(axes: Axes, time: FloatArray, band: Band, around: float | FloatArray =
 
 def _draw_error(axes: Axes, fan: Fan) -> None:
     """Measured output minus forecast, within the band."""
-    band, time = fan.forecast.output, fan.forecast.time
+    band = fan.forecast.output
+    time = fan.forecast.time
     _fill(axes, time, band, around=band.mean)
     axes.plot(fan.times, fan.error, color=PLANT, lw=0.9)
     axes.axhline(0, color=CLOSED, lw=1.0)
@@ -164,7 +169,8 @@ def _draw_errors(
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
 
     for who, places, own in _marks(cards, horizons, looks):
-        (colour, marker), medians = looks[who], [c.median for c in own]
+        colour, marker = looks[who]
+        medians = [c.median for c in own]
         axes.vlines(places, medians, [c.nine_in_ten for c in own], color=colour, lw=1.2)
         axes.plot(places, medians, marker, color=colour, ms=6, label=who)
     axes.set_yscale("log")

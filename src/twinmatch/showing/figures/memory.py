@@ -33,7 +33,8 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
         return figure
     free = lessons[0].free
     figure = new_figure(max(6.0, min(0.5 * len(lessons) + 3.0, 16.0)), 1.5 * len(free) + 0.8)
-    places, names = np.arange(len(lessons)), [one.name for one in lessons]
+    places = np.arange(len(lessons))
+    names = [one.name for one in lessons]
     for k, (axes, name) in enumerate(zip(stack(figure, [1.0] * len(free)), free, strict=True)):
         shown = parameter_format(plant, name)
         values = [shown.shown(one.parameters[name]) for one in lessons]
@@ -50,7 +51,8 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
 
 def _mark(axes: Axes, change: ParameterChange, levels: list[float], names: list[str]) -> None:
     """Draw a change between two levels, and say it."""
-    places, step = np.arange(len(names)), change.kind == "step"
+    places = np.arange(len(names))
+    step = change.kind == "step"
     trend = np.linspace(levels[0], levels[1], len(names))
     line = np.where(places >= names.index(change.since), levels[1], levels[0]) if step else trend
     axes.plot(places, line, color=MODEL, lw=1.5, drawstyle="steps-mid" if step else "default")

@@ -95,7 +95,8 @@ def _draw_loop(
 def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
     """Cut off the few highest peaks, with a note on the chart."""
     size = np.abs(np.concatenate(residuals))
-    shown, highest = 1.4 * float(np.quantile(size, _SHOWN)), float(np.max(size))
+    shown = 1.4 * float(np.quantile(size, _SHOWN))
+    highest = float(np.max(size))
     if not 0 < shown < highest:
         return
     axes.set_ylim(-shown, shown)
@@ -124,7 +125,8 @@ def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> N
 
 def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str) -> None:
     """A residual and its rolling band, with a legend entry if it has a name."""
-    band, width = f"±2 RMS over {BAND} samples" if name else "_", 2 * rolling_rms(residual, BAND)
+    band = f"±2 RMS over {BAND} samples" if name else "_"
+    width = 2 * rolling_rms(residual, BAND)
     axes.fill_between(time, -width, width, color=colour, alpha=0.18, lw=0, label=band)
     axes.plot(time, residual, color=colour, lw=0.7, label=name or "_")
     axes.axhline(0, color=SET_POINT, lw=0.6)
@@ -146,7 +148,8 @@ def draw_health(
     known = _misses(verdicts, settings.plant, closed=settings.law is not None)
     figure = new_figure(10, 2.1 + 1.35 * len(known))
     axes = stack(figure, (1.2, *[2] * len(known), 0.9))
-    first, period = samples[0].index, settings.period
+    first = samples[0].index
+    period = settings.period
     _draw_levels(axes[0], verdicts, period, first)
     for each, (name, misses) in zip(axes[1:-1], known.items(), strict=True):
         _draw_misses(each, misses, period, settings.limits.doubtful)
@@ -160,7 +163,8 @@ def draw_health(
 def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0) -> None:
     """The trust level as a band, shown by height as well as colour."""
     for stretch in Tally(verdicts, first).stretches:
-        begin, end = stretch.first * period, (stretch.last + 1) * period
+        begin = stretch.first * period
+        end = (stretch.last + 1) * period
         height = _HEIGHTS[stretch.level]
         axes.fill_between([begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0)
     axes.set_ylim(-0.5, 3.5)
@@ -232,7 +236,8 @@ def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: i
 def draw_estimate(axes: Axes, one: EstimatedCourse, period: float, samples: int) -> None:
     """What a sensor read, and what it should have."""
     time = np.arange(one.first, one.last + 1) * period
-    values, bands = np.array(one.values), np.array(one.bands)
+    values = np.array(one.values)
+    bands = np.array(one.bands)
     axes.plot(time, one.readings, color=SET_POINT, label="read")
     axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
     axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
@@ -264,7 +269,8 @@ def draw_verdict(
     )
     for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
         for number, window in enumerate(stretches(samples, settings.period)):
-            closed, alone = settings.law is not None, window.alone(k)
+            closed = settings.law is not None
+            alone = window.alone(k)
             draw_outputs(upper, alone, closed=closed, named=number == 0, lw=1.2)
             draw_inputs(control, alone, 0.9)
         for number, part in enumerate(p.alone(k) for p in parts):

@@ -172,7 +172,8 @@ def _image(rig: str) -> _Panel:
 
 def _verdict(rig: str) -> dict[str, _Panel]:
     """Panels of the verdict: trust level, changes, family, and the messages in full."""
-    score, match = f"{rig}/twin/model_score", f"{rig}/twin/match"
+    score = f"{rig}/twin/model_score"
+    match = f"{rig}/twin/match"
     changes = {
         "nominal": f"{score}.nominal",
         "leader": f"{rig}/twin/state.leader",

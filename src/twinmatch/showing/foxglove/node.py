@@ -155,7 +155,8 @@ class StreamTime:
         """Take the time of /clock (ns), received at a monotonic time (s); returns whether the kind of time
         has changed."""
         changed = self._plant is None
-        self._plant, self._received = stamp, at
+        self._plant = stamp
+        self._received = at
         return changed
 
     def on_sample(self, at: float, *, clock: bool) -> bool:

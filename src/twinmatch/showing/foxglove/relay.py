@@ -33,10 +33,13 @@ class Relay:
 
     def __init__(self, bound: socket.socket, hosts: Hosts, inner: tuple[str, int]) -> None:
         """Take the connections of a listening socket, and let those of `hosts` reach the server `inner`."""
-        self._bound, self._hosts, self._inner = bound, hosts, inner
+        self._bound = bound
+        self._hosts = hosts
+        self._inner = inner
         self._open: set[asyncio.Task[None]] = set()
         self._told: set[str] = set()
-        self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()
+        self._loop = asyncio.new_event_loop()
+        self._over = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 

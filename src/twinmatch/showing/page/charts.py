@@ -156,8 +156,10 @@ class LoopCharts:
         self, time: DataRange1d, sources: tuple[ColumnDataSource, ColumnDataSource], loop: Loop, k: int
     ) -> None:
         """Draw plant and twins over a time axis; `loop` names set-point, output and input."""
-        self._time, (self._plant, self._twin) = time, sources
-        (_, self._output_of, self._input_of), self._k = loop, k
+        self._time = time
+        self._plant, self._twin = sources
+        _, self._output_of, self._input_of = loop
+        self._k = k
         self.output, self.control = self._output(), self._control()
         self.forecasts = ForecastBands(self.output, self.control)
         self.residual, self.control_residual = self._residual(), self._control_residual()
@@ -170,7 +172,8 @@ class LoopCharts:
         return _figure(nth(name, self._k), height, label, self._time)
 
     def _output(self) -> Any:
-        chart, of = self._figure("output", 320, self._output_of.label), self._of
+        chart = self._figure("output", 320, self._output_of.label)
+        of = self._of
         self.line = chart.line("t", of("output"), source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", of("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
         asked = _step(chart, of("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
@@ -179,7 +182,8 @@ class LoopCharts:
         return chart
 
     def _control(self) -> Any:
-        chart, of = self._figure("control", 210, self._input_of.label), self._of
+        chart = self._figure("control", 210, self._input_of.label)
+        of = self._of
         plant = _step(chart, of("input"), self._plant, PLANT, width=1.6)
         closed = _step(chart, of("closed_input"), self._twin, CLOSED, width=1.2)
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
@@ -206,7 +210,8 @@ class LoopCharts:
 
     def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
         """A chart of residuals with their band."""
-        chart, rms = self._figure(name, 180, with_unit("plant − twin", signal.unit)), self._of(rms)
+        chart = self._figure(name, 180, with_unit("plant − twin", signal.unit))
+        rms = self._of(rms)
         filling: dict[str, Any] = {"fill_color": colour, "fill_alpha": alpha}
         return chart, chart.varea("t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling)
 

@@ -122,9 +122,12 @@ class NodeReports:
 
     def _take_player(self, player: PlayerState, now: float, *, over: bool) -> None:
         if not over:
-            self.player, self.ended = player, None
+            self.player = player
+            self.ended = None
         elif self.ended is None:
-            self.player, self.ended, self.ended_at = None, player, now
+            self.player = None
+            self.ended = player
+            self.ended_at = now
 
     def silent(self, name: str, now: float) -> bool:
         """Whether a node has not reported for more than `PATIENCE` seconds."""

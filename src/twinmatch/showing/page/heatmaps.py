@@ -20,7 +20,8 @@ from twinmatch.showing.style import TEXT
 SUM = "Σ"
 _LINE = 20
 """Characters per line of a name beside its row; there are two lines."""
-_ROW, _HEAD = 34, 44
+_ROW = 34
+_HEAD = 44
 """Height of a row, and of the space above the first one, in pixels."""
 _EVEN = 0.179
 """Luminance at which black and white text have the same contrast, 4.6."""
@@ -142,7 +143,8 @@ class ThermalImage:
         """Show an image in °C, first row on top."""
         self.root.visible = True
         rows, columns = image.shape
-        low, high = float(np.nanmin(image)), float(np.nanmax(image))
+        low = float(np.nanmin(image))
+        high = float(np.nanmax(image))
         wider = max(0.0, MIN_SPAN - (high - low)) / 2
         self._colours.low, self._colours.high = round(low - wider, 1), round(high + wider, 1)
         self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}

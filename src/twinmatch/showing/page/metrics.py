@@ -22,7 +22,8 @@ class StateMetrics(Collector):
 
     def __init__(self, state: DashboardState, now: float) -> None:
         """`now` (s) is of the clock that the state's times are taken from."""
-        self._state, self._now = state, now
+        self._state = state
+        self._now = now
 
     def collect(self) -> Iterator[Metric]:
         """All of them."""

@@ -36,14 +36,16 @@ class MqttOutlet:
         Raises:
             BrokerError: the URL cannot be used, or there is no connection.
         """
-        self._broker, self._name = Broker.parse(url, ("rig",)), ""
+        self._broker = Broker.parse(url, ("rig",))
+        self._name = ""
         self._rig = self._broker.more.get("rig") or rig
         self._enter(_NOT_PLAIN.sub("_", self._rig))
 
     def tell(self, state: DashboardState) -> str:
         """Publish what has changed, once the plant is known; returns why it cannot, or nothing."""
         with state.lock:
-            plant, title = state.described.plant, state.described.title
+            plant = state.described.plant
+            title = state.described.title
             name = _NOT_PLAIN.sub("_", self._rig or plant)
             messages = messages_of(state, name, title if self._rig in {"", plant} else self._rig)
         if not plant:
@@ -89,7 +91,8 @@ def _status(name: str) -> str:
 
 def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
     """The payload of each topic of a rig: its entities in Home Assistant, under a title, and its state."""
-    topic, device = f"twinmatch/{name}/state", f"twinmatch_{name}"
+    topic = f"twinmatch/{name}/state"
+    device = f"twinmatch_{name}"
     common = {
         "state_topic": topic,
         "availability_topic": _status(name),

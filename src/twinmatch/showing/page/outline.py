@@ -35,7 +35,9 @@ def trusted_ahead(state: DashboardState) -> float:
 
 def ahead(state: DashboardState) -> list[PointAhead]:
     """The newest forecast at the verdicts' horizons, or else at its end: of outputs, then of inputs."""
-    forecast, described, found = state.current_forecast, state.described, []
+    forecast = state.current_forecast
+    described = state.described
+    found = []
     if forecast is None or not forecast.time.size:
         return []
     for horizon in (state.verdict and state.verdict.horizons) or (float(forecast.time[-1]),):

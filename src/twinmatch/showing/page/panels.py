@@ -114,7 +114,9 @@ def _forecast(state: DashboardState) -> str:
     forecast = state.current_forecast
     if forecast is None or not forecast.time.size:
         return _answer("forecast", "not known yet", "available once there is a leader")
-    outputs, means, spans = [output for _, output, _ in state.described.loops], [], []
+    outputs = [output for _, output, _ in state.described.loops]
+    means = []
+    spans = []
     for output, band in zip(outputs, forecast.outputs, strict=False):
         places = max(0, output.decimals - 1)
         mean, low, high = (number(float(v[-1]), places) for v in (band.mean, band.low, band.high))
@@ -167,7 +169,9 @@ def tiles(state: DashboardState) -> str:
     loops = state.described.loops
     rows = []
     for k, (asked, output, control) in enumerate(loops):
-        of, y, u = output.name if loops[1:] else "plant", output.decimals, control.decimals
+        of = output.name if loops[1:] else "plant"
+        y = output.decimals
+        u = control.decimals
         shown = (
             (asked.label, "reference", y),
             (with_unit(of, output.unit), "output", y),
@@ -190,7 +194,8 @@ def tiles(state: DashboardState) -> str:
 def status(state: DashboardState, now: float) -> str:
     """One line: newest sample, state of a player, state of the nodes."""
     pills = [_sample_pill(state, now)]
-    player, ended = state.nodes.player, state.nodes.ended
+    player = state.nodes.player
+    ended = state.nodes.ended
     if ended is not None:
         pills.append(_pill(None, f"the replay has ended: {ended.position}"))
     elif player is not None:
@@ -209,7 +214,8 @@ def status(state: DashboardState, now: float) -> str:
 def _sample_pill(state: DashboardState, now: float) -> str:
     if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
-    quiet, at = now - state.received_at, (state.sample or 0) * state.period
+    quiet = now - state.received_at
+    at = (state.sample or 0) * state.period
     newest = f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s"
     if quiet > SILENCE * max(1.0, state.period) and state.nodes.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s after {newest}")
@@ -221,7 +227,8 @@ def alarm(state: DashboardState) -> str:
     if not state.fault:
         return ""
     title, why = map(escape, drive_fault(state.fault))
-    sign, title = SIGNS[TrustLevel.FAULT], f"{title[0].upper()}{title[1:]}"
+    sign = SIGNS[TrustLevel.FAULT]
+    title = f"{title[0].upper()}{title[1:]}"
     return f'<div class="alarm" role="alert"><b>{sign} {title}</b><br>{why}</div>'
 
 
@@ -283,7 +290,8 @@ def nodes(reports: NodeReports, now: float) -> str:
     """Every reporting node with its report."""
     shown = []
     for name in sorted(reports.reports):
-        rest, level = reports.at_rest(name), reports.level(name, now)
+        rest = reports.at_rest(name)
+        level = reports.level(name, now)
         colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'

@@ -42,7 +42,10 @@ class Requests:
         settings: Callable[[], TwinSettings],
     ) -> None:
         """Make clients; `later` queues a function for the node's thread, `settings` returns those in use."""
-        self._node, self._state, self._later, self._settings = node, state, later, settings
+        self._node = node
+        self._state = state
+        self._later = later
+        self._settings = settings
         self.control = control
         """Whether the page may set the set-point, clear faults and stop."""
         self._pause = node.create_client(SetBool, "player/pause")
@@ -120,7 +123,8 @@ class Requests:
     def set_point(self, level: float) -> None:
         """Send the controller a set-point, once its parameters show that it follows one."""
         if self.control:
-            request, send = GetParameters.Request(names=list(SOURCE)), partial(self._send_set_point, level)
+            request = GetParameters.Request(names=list(SOURCE))
+            send = partial(self._send_set_point, level)
             self._call(self._limits, request, "the controller", send)
 
     def _send_set_point(self, level: float, answer: Any) -> None:
@@ -129,7 +133,8 @@ class Requests:
             self._state.notify(False, "the controller does not report which set-points it follows")
             return
         unit = self._state.described.reference.unit
-        low, high = values["profile.lowest"].double_value, values["profile.highest"].double_value
+        low = values["profile.lowest"].double_value
+        high = values["profile.highest"].double_value
         if values["reference_source"].string_value != "topic":
             why = "the controller follows its own profile; start it with reference_source: topic"
             self._state.notify(False, why)

@@ -59,7 +59,9 @@ class PageServer:
             ServingError: the address or port cannot be used, or the server does not start.
         """
         self._socket, self._place = listen("dashboard", address, port)
-        self._fill, self._hosts, self._metrics = fill, hosts or Hosts.of(address), metrics
+        self._fill = fill
+        self._hosts = hosts or Hosts.of(address)
+        self._metrics = metrics
         self._server: BaseServer | None = None
         self._ready = threading.Event()
         self.failure: Exception | None = None

@@ -164,7 +164,8 @@ def envelope(rows: FloatArray, stride: int) -> FloatArray:
     if stride == 1 or not rows.size:
         return rows
     groups = rows.reshape(-1, stride, rows.shape[1])
-    low, high = np.min(groups, axis=1), np.max(groups, axis=1)
+    low = np.min(groups, axis=1)
+    high = np.max(groups, axis=1)
     rising = np.argmin(groups, axis=1) <= np.argmax(groups, axis=1)
     drawn = np.empty((2 * len(groups), rows.shape[1]))
     drawn[0::2] = np.where(rising, low, high)
@@ -233,7 +234,8 @@ class DashboardState:
     @property
     def current_forecast(self) -> Forecast | None:
         """The newest forecast; None if it starts at a sample that this session has not reached."""
-        last, forecast = self.plant.last, self.forecast
+        last = self.plant.last
+        forecast = self.forecast
         return None if forecast is None or last is None or forecast.sample > last else forecast
 
     @property
@@ -250,7 +252,8 @@ class DashboardState:
             """Names and units of the plant and its signals."""
             loops = len(described.loops)
             if getattr(self, "_loops", 0) != loops:
-                self._loops, capacity = loops, self._capacity
+                self._loops = loops
+                capacity = self._capacity
                 self.plant, self.twin = (
                     RollingTable([nth(name, k) for name in names for k in range(loops)], capacity)
                     for names in (LOOP, TwinRow._fields)
@@ -275,7 +278,8 @@ class DashboardState:
                 self._note_interval(sample, previous)
             first = self.sample is None
             self.plant.push(sample.index, self._spread((sample.references, sample.outputs, sample.inputs)))
-            self._previous, self.received_at = sample, now
+            self._previous = sample
+            self.received_at = now
             if first:
                 self._date(sample)
 
@@ -344,7 +348,8 @@ class DashboardState:
     def push_drive(self, drive: DriveReport) -> None:
         """Take a report of the node that drives the plant."""
         with self.lock:
-            before, self.drive = self.fault, drive
+            before = self.fault
+            self.drive = drive
             if drive.fault == before:
                 return
             if drive.fault:
@@ -357,7 +362,8 @@ class DashboardState:
     def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Take a report from /diagnostics: name, level of REP 107, message and values."""
         with self.lock:
-            change, plain = self.nodes.push(name, level, message, values, now), name.removesuffix(": health")
+            change = self.nodes.push(name, level, message, values, now)
+            plain = name.removesuffix(": health")
             if change == "error":
                 self._note(EventKind.NODE, Mark.BAD, f"{plain} reports an error", message)
             elif change == "recovered":
@@ -384,9 +390,15 @@ class DashboardState:
         self.plant.clear()
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
-        self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
-        self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
-        self.tally, self.taught, self.estimates = Tally(), [], {}
+        self.verdict = None
+        self.verdicts = self.verdicts + 1
+        self.sentence = ""
+        self.forecast = None
+        self.what_if = None
+        self.forecast_changes = self.forecast_changes + 1
+        self.tally = Tally()
+        self.taught = []
+        self.estimates = {}
         self._intervals.clear()
         why = f"the previous one lasted {duration:g} s"
         self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
@@ -399,7 +411,8 @@ class DashboardState:
 
     def _note(self, kind: EventKind, mark: Mark, title: str, why: str, stamp: int | None = None) -> None:
         """Log an event of this moment, or of its stamp (ns)."""
-        event, newest = Event(self.sample, kind, title, why, mark, stamp=stamp), self._previous
+        event = Event(self.sample, kind, title, why, mark, stamp=stamp)
+        newest = self._previous
         self._log(event if self.sample is None or newest is None else event.dated(newest))
 
     def _date(self, first: Sample) -> None:
@@ -418,7 +431,10 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     Takes a few milliseconds; call it for a new verdict, not for every sample. `settings` are the twin's.
     """
     with state.lock:
-        verdict, period, tally, taught = state.verdict, state.period, copy(state.tally), list(state.taught)
+        verdict = state.verdict
+        period = state.period
+        tally = copy(state.tally)
+        taught = list(state.taught)
         columns, _ = state.plant.since(0)
         kinds = zip(LOOP, state.described.shape, strict=True)
     names = ([nth(name, k) for k in range(size)] for name, size in kinds)

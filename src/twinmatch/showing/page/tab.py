@@ -78,7 +78,8 @@ class PlayerButtons:
 
 def question_form(requests: Requests, label: str) -> Row:
     """The what-if question: a forecast for another set-point, named by `label`. Nothing is moved."""
-    level, hold = _entry(label, 110), _entry("for / s (empty: it stays)", 150, low=0.001)
+    level = _entry(label, 110)
+    hold = _entry("for / s (empty: it stays)", 150, low=0.001)
 
     def ask() -> None:
         if level.value is not None:
@@ -132,12 +133,14 @@ class Tab:
         self, state: DashboardState, requests: Requests, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Show a state; `clock` is the one that its times are taken from."""
-        self._state, self._clock = state, clock
+        self._state = state
+        self._clock = clock
         self._plant = ChartFeed(state.plant)
         self._twin = ChartFeed(state.twin, bands)
         self._described = described = state.described
         self._charts = TimeCharts(self._plant.source, self._twin.source, described)
-        self._matrix, self._thermal = GapMatrix(), ThermalImage()
+        self._matrix = GapMatrix()
+        self._thermal = ThermalImage()
         names = (
             *("status", "alarm", "first", "reasons", "tiles", "family", "events", "nodes"),
             *("matrix_note", "chart_note", "answer"),
@@ -180,7 +183,8 @@ class Tab:
 
     def update(self) -> None:
         """Update whatever has changed."""
-        state, now = self._state, self._clock()
+        state = self._state
+        now = self._clock()
         with state.lock:
             state.nodes.expire(now)
             seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active][1]
@@ -211,7 +215,8 @@ class Tab:
 
     def _draw_forecast(self, span: float) -> None:
         """Show the newest `span` seconds, and the forecast after them."""
-        state, forecast = self._state, self._state.current_forecast
+        state = self._state
+        forecast = self._state.current_forecast
         if self._changed("forecast", (span, state.forecast_changes, state.period, forecast is None)):
             most = seconds_ahead(span)
             what_if = None if state.what_if is None else state.what_if.forecast

@@ -184,7 +184,8 @@ def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list
 
 def _session_alt(j: Judgement) -> str:
     readings = list(zip(*(s.outputs for s in j.samples), strict=True))
-    outputs, inputs = shown_outputs(j.settings.plant), shown_inputs(j.settings.plant)
+    outputs = shown_outputs(j.settings.plant)
+    inputs = shown_inputs(j.settings.plant)
     closed = j.settings.law is not None
     set_point = "set-point, " if closed else ""
     measured = [f"{y} ({y.text(min(of), max(of))})" for y, of in zip(outputs, readings, strict=True)]
@@ -193,10 +194,13 @@ def _session_alt(j: Judgement) -> str:
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."
-    twins, fitted, each = "the driven twin", "driven", j.summary.fits.outputs if j.summary.fits else ()
+    twins = "the driven twin"
+    fitted = "driven"
+    each = j.summary.fits.outputs if j.summary.fits else ()
     fits = [f"{y} to {100 * share:.1f}" for y, share in zip(outputs, each, strict=True)]
     if closed:
-        twins, fitted = "the closed-loop and the driven twin", "closed-loop"
+        twins = "the closed-loop and the driven twin"
+        fitted = "closed-loop"
     return (
         f"{base}, with {twins} of {shown.name}; below, the residuals between plant and twin. "
         f"The {fitted} twin fits the {number_list(fits)} %."
@@ -206,5 +210,6 @@ def _session_alt(j: Judgement) -> str:
 def _health_alt(j: Judgement) -> str:
     stretches = j.summary.stretches
     levels = ", ".join(f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches)
-    joined, refused = len(admitted(j.verdicts)), sum(v.match == REFUSED for v in j.verdicts)
+    joined = len(admitted(j.verdicts))
+    refused = sum(v.match == REFUSED for v in j.verdicts)
     return f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, {refused} refused."

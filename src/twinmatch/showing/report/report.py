@@ -202,7 +202,8 @@ def _verify(session: Session, judgement: Judgement, unlike: str) -> tuple[str, b
     try:
         comparison = None if unlike else compare(session, judgement)
     except TwinmatchError as error:
-        comparison, unlike = None, str(error)
+        comparison = None
+        unlike = str(error)
     if comparison is None:
         held = f"The session has {count} recorded verdicts."
         return f"{held} {again} could not be compared with the recorded ones: {unlike}.", None
@@ -263,13 +264,19 @@ class SessionReport:
             raise TwinmatchError(f"{path}: the report cannot be written: {error.strerror}") from error
 
     def _content(self) -> dict[str, object]:
-        judged, judgement, settings = self.judged, self.judged.judgement, self.judged.judgement.settings
-        last, nominal = last_verdict(judgement.verdicts), self.nominal
+        judged = self.judged
+        judgement = self.judged.judgement
+        settings = self.judged.judgement.settings
+        last = last_verdict(judgement.verdicts)
+        nominal = self.nominal
         tests = judged.tests
         words = [*plain_words(judgement), *(line for each in tests for line in backtest_words(each)[-1:])]
         others = [m for m in self.members if not m.nominal and m.modelled]
-        period, level, closed = settings.period, judgement.summary.level, settings.law is not None
-        plant, matched = settings.plant, settings.start.model.structure_name
+        period = settings.period
+        level = judgement.summary.level
+        closed = settings.law is not None
+        plant = settings.plant
+        matched = settings.start.model.structure_name
         return {
             "name": self.name,
             "sentence": self.sentence,
@@ -320,7 +327,8 @@ class SessionReport:
 
 def _tested(tested: Backtest, judgement: Judgement, k: int) -> dict[str, object]:
     """What section 3 shows of the k-th output."""
-    single, ending = judgement.settings.plant.single, f"_{next(iter(tested.plant.outputs))}" if k else ""
+    single = judgement.settings.plant.single
+    ending = f"_{next(iter(tested.plant.outputs))}" if k else ""
     return {
         "name": "" if single else signal_names(tested.plant).output.name,
         "sentences": backtest_words(tested),
@@ -333,7 +341,8 @@ def _tested(tested: Backtest, judgement: Judgement, k: int) -> dict[str, object]
 
 def _points(verdict: Verdict, plant: type[Plant]) -> list[str]:
     """The operating points at which plants are compared."""
-    points, size = verdict.nu_gap_points, len(plant.outputs)
+    points = verdict.nu_gap_points
+    size = len(plant.outputs)
     return [point_text(points[k : k + size]) for k in range(0, len(points), size)]
 
 
@@ -357,7 +366,8 @@ def build_report(
     """Build the report of a judged session; `path` is where the session was read from, `work` draws some of
     the figures."""
     judgement = judged.judgement
-    last, settings = last_verdict(judgement.verdicts), judgement.settings
+    last = last_verdict(judgement.verdicts)
+    settings = judgement.settings
     members = family(judgement.samples, judgement.matches, last, settings)
     drawn = pictures(judgement, members, judged.tests, work or Beside())
     made = made or datetime.now().astimezone()

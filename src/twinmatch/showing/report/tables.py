@@ -105,17 +105,21 @@ def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
 
 def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
     """The nominal twin's parameters with their intervals."""
-    plant, free = score.parameters.model.plant, match.free if match is not None else ()
+    plant = score.parameters.model.plant
+    free = match.free if match is not None else ()
     rows = []
     for name in in_order(plant, (*score.parameters, *free)):
         q = parameter_format(plant, name)
         if match is not None and name in free:
             value = Cell(q.text(value_of(match, name)), best=True)
-            error, ends = q.error_text(interval(match, name).error), _ends(match, q) or "–"
+            error = q.error_text(interval(match, name).error)
+            ends = _ends(match, q) or "–"
             well = "well" if name in match.believed else "poorly"
             origin = f"fitted, {well} determined" if match.believed else "fitted"
         else:
-            value, error, ends = Cell(q.text(score.parameters[name])), "–", "–"
+            value = Cell(q.text(score.parameters[name]))
+            error = "–"
+            ends = "–"
             origin = "candidate file" if match is None else "not fitted"
         named = (_head(q.symbol), _words(q.words), value, _words(q.unit))
         rows.append((*named, Cell(error), Cell(ends), _words(origin)))
@@ -228,8 +232,10 @@ def criterion_tables(verdict: Verdict) -> list[ReportTable]:
     names = ("output", "order", *(c.label for c in shown))
     tables = []
     for candidate in verdict.modelled:
-        titles, count = dict(outputs_of(candidate.orders)), len(candidate.orders)
-        criteria, rows = criterion_rows(candidate, shown), []
+        titles = dict(outputs_of(candidate.orders))
+        count = len(candidate.orders)
+        criteria = criterion_rows(candidate, shown)
+        rows = []
         for k, row in enumerate(criteria):
             first = () if k % count else (_head(titles[row.output], count),)
             order = Cell(row.order, best=row.chosen, number=False)
@@ -275,7 +281,8 @@ def gap_table(verdict: Verdict) -> ReportTable:
 def identified_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps between the models identified on the twins, as in the paper."""
     sums = [c.identified_gap_sum for c in verdict.modelled]
-    title, gaps = f"ν-gap between the models of order {verdict.order}", verdict.identified_gap
+    title = f"ν-gap between the models of order {verdict.order}"
+    gaps = verdict.identified_gap
     return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=[_IDENTIFIED])
 
 
@@ -320,7 +327,8 @@ def coefficient_table(member: Member) -> ReportTable:
 def forecast_tables(tested: Backtest) -> list[ReportTable]:
     """One table per horizon: errors and bands of every forecaster; the smallest error of those that can be
     used live is bold."""
-    columns, tables = card_columns(tested.plant, driven=tested.driven), []
+    columns = card_columns(tested.plant, driven=tested.driven)
+    tables = []
     for horizon, cards in tested.at_horizons.items():
         live = [card for card in cards if card.who not in TWINS[1:]]
         best = {card.who for card in live if card.median == min(c.median for c in live)}
@@ -339,7 +347,9 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
     """Forecasts of the leader in numbers, beside the measurements; None without forecasts."""
     if not fans:
         return None
-    signals, closed, decimals = signal_names(plant), fans[0].forecast.closed, plant.output.decimals
+    signals = signal_names(plant)
+    closed = fans[0].forecast.closed
+    decimals = plant.output.decimals
     moves = ("set-points", signals.output.unit) if closed else ("inputs", signals.input.unit)
 
     def ends(one: Fan) -> Cell:

@@ -35,8 +35,10 @@ def duration(seconds: float) -> str:
 
 def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in numbers: pairs of name and value."""
-    samples, settings = judgement.samples, judgement.settings
-    outputs, inputs = shown_outputs(settings.plant), shown_inputs(settings.plant)
+    samples = judgement.samples
+    settings = judgement.settings
+    outputs = shown_outputs(settings.plant)
+    inputs = shown_inputs(settings.plant)
     closed = settings.law is not None
     of = [f" of {y}" for y in outputs] if outputs[1:] else [""]
     limits = [
@@ -79,7 +81,8 @@ def _duration(judgement: Judgement) -> str:
 def plain_words(judgement: Judgement) -> list[str]:
     """The session in a few sentences, one topic each."""
     last = judgement.verdicts[-1] if judgement.verdicts else None
-    nominal, shown = nominal_score(last_verdict(judgement.verdicts)), shown_twin(last)
+    nominal = nominal_score(last_verdict(judgement.verdicts))
+    shown = shown_twin(last)
     lines = [_what(judgement), _matching(judgement)]
     if last is None or shown is None:
         faulty = judgement.summary.level is TrustLevel.FAULT
@@ -94,7 +97,8 @@ def plain_words(judgement: Judgement) -> list[str]:
 
 
 def _what(judgement: Judgement) -> str:
-    samples, period = judgement.samples, judgement.settings.period
+    samples = judgement.samples
+    period = judgement.settings.period
     plant = judgement.settings.plant
     outputs = number_list(map(str, shown_outputs(plant)))
     control = f"control ({number_list(drive.text or drive.name for drive in plant.drives.values())})"
@@ -105,7 +109,8 @@ def _what(judgement: Judgement) -> str:
             f"For {_duration(judgement)} the {outputs} of a plant ({plant.title}), its "
             f"{control}{beside} {recorded}; its controller is not known."
         )
-    (low, high), unit = _ends(r for s in samples for r in s.references), outputs_unit(plant)
+    low, high = _ends(r for s in samples for r in s.references)
+    unit = outputs_unit(plant)
     levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     return (
         f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
@@ -193,7 +198,8 @@ def _trust(judgement: Judgement) -> str:
     if s.range is None:
         output = shown_outputs(judgement.settings.plant)[0]
         return f"There is no range of the {output} in which its forecasts have held."
-    held, but = f"Its forecasts have held {s.range}", f", but {s.doubts}" if s.doubts else ""
+    held = f"Its forecasts have held {s.range}"
+    but = f", but {s.doubts}" if s.doubts else ""
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
     doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
@@ -201,7 +207,8 @@ def _trust(judgement: Judgement) -> str:
 
 
 def _health(judgement: Judgement) -> str:
-    period, stretches = judgement.settings.period, judgement.summary.stretches
+    period = judgement.settings.period
+    stretches = judgement.summary.stretches
     faulty = [s for s in stretches if s.fault or s.level is TrustLevel.FAULT]
     doubtful = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
     faults, doubts = (", ".join(f"t = {s.times(period)}" for s in those) for those in (faulty, doubtful))
@@ -216,8 +223,10 @@ def _health(judgement: Judgement) -> str:
 
 
 def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
-    s, (outputs, inputs, driven) = judgement.summary, _fitted(judgement, shown)
-    loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, "
+    s = judgement.summary
+    outputs, inputs, driven = _fitted(judgement, shown)
+    loop = f"closed-loop twin of {shown.name}, "
+    open_loop = f"driven twin of {shown.name}, "
     trusted = ("trusted", str(s.range) if s.range else "–")
     closed = judgement.settings.law is not None
     facts = [
@@ -255,7 +264,8 @@ _Fitted = list[tuple[ShownSignal, str, float]]
 def _fitted(judgement: Judgement, shown: ShownTwin) -> tuple[_Fitted, _Fitted, _Fitted]:
     """Outputs and inputs with fit in per cent and RMS residual of the closed-loop twin (if the loop is not
     known, outputs of the driven one), and outputs with those of the driven one."""
-    plant, fits = judgement.settings.plant, judgement.summary.fits
+    plant = judgement.settings.plant
+    fits = judgement.summary.fits
     if fits is None:
         return [], [], []
     parts = compare(judgement.stretches, shown.parameters, judgement.settings)
