@@ -82,9 +82,7 @@ RUNS = {
     IMPORT: Runs("samples", {"BAG": "bag", "SESSION": "imported"}, needs=("bag",)),
     f"{TW} replay SESSION": Runs("Leader: ", SHORT),
     f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
-    f"{TW} replay FOLDER --out RESULTS": Runs(
-        "1 session judged", {"FOLDER": "sessions", "RESULTS": "results"}
-    ),
+    f"{TW} replay FOLDER --out RESULTS": Runs("1 session judged", {"FOLDER": "judged", "RESULTS": "results"}),
     f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", SHORT),
     f"{TW} try-controller SESSION --loop law.json": Runs(
         "law.json: safe for all that the data allow", LONGER, needs=("law",)
@@ -156,7 +154,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_session(made / "bags" / SHIPPED.name, samples[:1300])
     write_session(made / "longer", samples[:700])
     write_session(made / "short", samples[:410])
-    write_session(made / "sessions" / "one", samples[:410])
+    write_session(made / "judged" / "one", samples[:410])
     for name in ("launch_scripts", "config"):
         (made / name).symlink_to(PROJECT / name)
     (made / ".venv").symlink_to(sys.prefix)

@@ -38,7 +38,7 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
         graph.describe(TCLabBoth)
         browser.wait_for(lambda: "temperature T2 / °C" in browser.text, "the plant's own words")
         graph.session(two.samples[-200:], two)
-        course = two.estimates
+        (course,) = two.estimates
         last = two.samples[-1]
         rest = {"since": course.first, "wide": course.wide, "good": course.good}
         estimate = EstimatedReading(last.index, course.signal, 31.8, 0.4, 36.8, **rest)
