@@ -58,9 +58,8 @@ def test_margins_that_skogestad_published(
 ) -> None:
     """Skogestad, Simple analytic rules for model reduction and PID controller tuning, J. Process Control 13
     (2003), table 1: SIMC settings with τc = θ, for a first order with dead time and for k·e^(−θs)/s."""
-    # in units of θ
     dead = 60
-    period = 1.0 / 60.0
+    period = 1.0 / 60.0  # in units of θ
     lag = 4.0
     plant = control.tf([1.0], [1.0, 0.0] if integrating else [lag, 1.0])
     gain, time = (0.5, 8.0) if integrating else (lag / 2.0, lag)

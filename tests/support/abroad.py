@@ -338,8 +338,7 @@ class AbroadPlant:
         self._seen = self.output  # the output behind a lag
         self._held = self.kind.rest  # the input that a dead band lets through
         self._pipe = deque([self.kind.rest] * round(self.has("dead time") / self.kind.step))
-        # sample to which the level holds
-        self._until = 0
+        self._until = 0  # sample to which the level holds
         self._chosen = math.nan
 
     @property

@@ -16,14 +16,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
-# W/%, W/K, J/K, °C
-GAIN = 0.5
-LOSS = 1.0
-CAPACITY = 4.0
-ROOM = 20.0
-# %/K, %/(K s)
-PROPORTIONAL = 4.0
-INTEGRAL = 2.0
+GAIN = 0.5  # W/%
+LOSS = 1.0  # W/K
+CAPACITY = 4.0  # J/K
+ROOM = 20.0  # °C
+PROPORTIONAL = 4.0  # %/K
+INTEGRAL = 2.0  # %/(K s)
 LEVELS = (30.0, 40.0)  # °C, by turns
 TOPICS = ("/oven/set_point", "/oven/temperature", "/oven/heater")
 

@@ -49,9 +49,8 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
     levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
     heating = np.repeat(levels, 6 * every)
-    # kWh/K, kW/K
-    store = random.uniform(2.0, 6.0)
-    loss = random.uniform(0.1, 0.25)
+    store = random.uniform(2.0, 6.0)  # kWh/K
+    loss = random.uniform(0.1, 0.25)  # kW/K
     floor = random.uniform(0.5, 2.0)
     to_floor = random.uniform(0.2, 0.5)
     walls = random.uniform(8.0, 25.0)

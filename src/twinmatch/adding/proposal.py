@@ -19,7 +19,7 @@ import numpy as np
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
-from twinmatch.importing.resampling import Kind, Resampled, repeated, resample
+from twinmatch.importing.resampling import Kind, Resampled, complete_rows, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
@@ -161,7 +161,7 @@ def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float 
     signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
     times = times_of(table, sources.get("time"), period)
     columns = (times.seconds, *signals.values())
-    rows = np.flatnonzero(np.all([np.isfinite(column) for column in columns], axis=0))
+    rows = complete_rows(*columns)
     rows = np.setdiff1d(rows, repeated(rows, *columns))
     kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
     resampled = resample(
@@ -171,7 +171,7 @@ def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float 
         period,
         gaps="split",
         place=str(table.path),
-        row=lambda i: f"{table.row} {table.lines[int(rows[i])]}",
+        row=lambda i: table.row_name(int(rows[i])),
     )
     for name, values in resampled.columns.items():
         largest = np.abs(values).max()

@@ -158,9 +158,8 @@ class Repeats:
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
-        # readings (the first shares count as 10) and changes
-        self._seen = 10
-        self._moves = 0
+        self._seen = 10  # readings; the first shares count as 10
+        self._moves = 0  # changes
         self._last = self._jitter = 0.0  # the change before, and by how much changes differ on average
         self._step = math.inf  # smallest change so far: that of a reading's last digit
         self.count = 0

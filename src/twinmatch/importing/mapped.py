@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.resampling import Gaps, Kind, Resampled, repeated, resample
+from twinmatch.importing.resampling import Gaps, Kind, Resampled, complete_rows, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, row_times
 from twinmatch.sampling.channels import SamplingError
@@ -138,7 +138,7 @@ def map_samples(
         longest=longest,
         gaps=gaps,
         place=str(table.path),
-        row=lambda i: _row_name(table, int(rows[i])),
+        row=lambda i: table.row_name(int(rows[i])),
     )
     if given.period is None:
         _require_pace(table, plant, resampled.period)
@@ -146,11 +146,6 @@ def map_samples(
     start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
     has_reference = LoopNames.of(plant).references[0] in resampled.columns
     return Mapped(_samples(plant, resampled, start), resampled.period, sources, has_reference, notes)
-
-
-def _row_name(table: Table, row: int) -> str:
-    """What a row (from 0) is called, such as `line 12`."""
-    return f"{table.row} {table.lines[row]}"
 
 
 def _rows_with_values(
@@ -162,19 +157,18 @@ def _rows_with_values(
         RecordingError: fewer than two rows have a time and all values.
     """
     columns = {TIME: times.seconds, **values}
-    has_all = np.all([np.isfinite(column) for column in columns.values()], axis=0)
-    if has_all.sum() < 2:
+    rows = complete_rows(*columns.values())
+    if rows.size < 2:
         signal = next(name for name, column in columns.items() if not np.isfinite(column).any())
         raise RecordingError(f"{table.path}: no row has a value of {signal}; map another column to it")
     notes = []
-    rows = np.flatnonzero(has_all)
-    incomplete = np.flatnonzero(~has_all)
+    incomplete = np.setdiff1d(np.arange(times.seconds.size), rows)
     if incomplete.size:
-        first = _row_name(table, int(incomplete[0]))
+        first = table.row_name(int(incomplete[0]))
         notes.append(f"{incomplete.size} rows lack a value and are left out, the first in {first}.")
     repeats = repeated(rows, *columns.values())
     if repeats.size:
-        first = _row_name(table, int(repeats[0]))
+        first = table.row_name(int(repeats[0]))
         notes.append(f"{repeats.size} rows repeat the row before and are left out, the first in {first}.")
         rows = np.setdiff1d(rows, repeats)
     return rows, notes
@@ -235,7 +229,8 @@ def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[st
         signals[name] = PlantSignal("reading", output.unit, *output.span)
     for name, drive in zip(loop.inputs, plant.drives.values(), strict=True):
         signals[name] = PlantSignal("held", drive.unit, *drive.limits)
-    if _has_references(loop, sources):
+    has_references = _has_references(loop, sources)
+    if has_references:
         for name, output in zip(loop.references, outputs, strict=False):
             signals[name] = PlantSignal("set", output.unit)
     for name, disturbance in plant.disturbances.items():
@@ -244,7 +239,7 @@ def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[st
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
             notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
-    if not _has_references(loop, sources):
+    if not has_references:
         notes.append(
             "The table has no set-point: the loop is treated as unknown, the twin is driven by the input."
         )
@@ -328,7 +323,7 @@ def check_range(
         f"{known.low:g} to {known.high:g}"
     )
     if known.kind == "reading" and outside.size <= _ODD * kept.size:
-        return [f"In {table.row} {table.lines[first]}, {words}; kept as readings of a failed sensor."]
+        return [f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."]
     raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, known, values[kept])}")
 
 

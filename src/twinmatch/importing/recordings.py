@@ -73,7 +73,7 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
         columns[TIME],
         {signal: column for signal, column in columns.items() if signal != TIME},
         place=str(path),
-        row=lambda i: f"{table.row} {table.lines[i]}",
+        row=table.row_name,
     )
     for signal, known in ((INPUT, _DRIVE), (OUTPUT, _ABOVE_ZERO), (REFERENCE, _ABOVE_ZERO)):
         check_range(table, signal, known, columns[signal])

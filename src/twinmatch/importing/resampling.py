@@ -120,6 +120,11 @@ def _list(steps: list[float]) -> str:
     return ", ".join(f"{abs(step):.4g}" for step in steps[:3]) + (", …" if len(steps) > 3 else "")
 
 
+def complete_rows(*columns: FloatArray) -> NDArray[np.intp]:
+    """The rows (from 0) in which every column has a value."""
+    return np.flatnonzero(np.all([np.isfinite(column) for column in columns], axis=0))
+
+
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
     """Those of the rows that repeat the row before in every column: loggers write some rows twice."""
     same = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)

@@ -118,9 +118,13 @@ class Table:
         """The unit in brackets in a column's title; empty for variables of a .mat."""
         return split_title(title)[1] if self.units else ""
 
+    def row_name(self, k: int) -> str:
+        """What the k-th row is called within the file, such as `line 12`."""
+        return f"{self.row} {self.lines[k]}"
+
     def place(self, k: int) -> str:
         """Place of the k-th row, for messages."""
-        return f"{self.path}, {self.row} {self.lines[k]}"
+        return f"{self.path}, {self.row_name(k)}"
 
 
 def split_title(title: str) -> tuple[str, str]:

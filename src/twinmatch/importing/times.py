@@ -163,8 +163,8 @@ def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> Fl
             zoned.setdefault(_ZONE.search(text.strip()) is not None, k)
     if len(zoned) == 2:
         raise RecordingError(
-            f"{table.place(zoned[True])}: {title!r} has a time zone, but none in {table.row} "
-            f"{table.lines[zoned[False]]}; write all rows alike"
+            f"{table.place(zoned[True])}: {title!r} has a time zone, but none in "
+            f"{table.row_name(zoned[False])}; write all rows alike"
         )
     return seconds
 
