@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+from collections.abc import Callable, Iterable
+from multiprocessing.process import BaseProcess
 
+from twinmatch.dynamics import Plant
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.plants import PLANTS, find_plant
@@ -22,21 +25,34 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: there is no such plant, or its equations cannot be used.
     """
+    if options.plant:
+        _derive([find_plant(options.plant)])
+        return 0
+    # A compiler uses one core, so two processes compile. The engine uses what the others compile.
+    models = _beside(_compare_models)
+    _derive(PLANTS.values())
+    models.join()
+    channels = _beside(_judge_channels)
+    _judge_a_loop()
+    channels.join()
+    return models.exitcode or channels.exitcode or 0
 
-    # Beside the plants: a compiler uses one core.
-    other = multiprocessing.get_context("spawn").Process(target=_identify_and_compare, daemon=True)
-    if not options.plant:
-        other.start()
-    for plant in [find_plant(options.plant)] if options.plant else PLANTS.values():
+
+def _beside(use: Callable[[], None]) -> BaseProcess:
+    """A process of its own for some kernels; it ends with this one."""
+    process = multiprocessing.get_context("spawn").Process(target=use, daemon=True)
+    process.start()
+    return process
+
+
+def _derive(plants: Iterable[type[Plant]]) -> None:
+    for plant in plants:
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
-    if not options.plant:
-        other.join()
-    return 0
 
 
-def _identify_and_compare() -> None:
-    """Use the kernels that compare models once, which compiles them."""
+def _compare_models() -> None:
+    """Use the kernels that identify and compare models once, which compiles them."""
     import numpy as np  # noqa: PLC0415
 
     from twinmatch.comparing import identify, nu_gap_matrix  # noqa: PLC0415
@@ -49,3 +65,45 @@ def _identify_and_compare() -> None:
         output[k] = 0.9 * output[k - 1] + 0.1 * reference[k - 1]
     models = identify(Window(reference, output + noise, reference - output - noise))
     nu_gap_matrix([model.symbol for model in models])
+
+
+def _judge_a_loop() -> None:
+    """Have the engine judge a simulated quarter of an hour: matches, trust, health and confidence."""
+    import numpy as np  # noqa: PLC0415
+
+    from twinmatch.dynamics import begin, simulate_closed_loop  # noqa: PLC0415
+    from twinmatch.offline.judging import judge_samples  # noqa: PLC0415
+    from twinmatch.sessions import samples_of  # noqa: PLC0415
+    from twinmatch.signals import Window  # noqa: PLC0415
+    from twinmatch.twin import TwinSettings  # noqa: PLC0415
+
+    settings = TwinSettings()
+    law = settings.law
+    camera = settings.plant.sensor
+    assert law is not None  # the default plant is a loop, seen by a camera
+    assert camera is not None
+    reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
+    # Parameters in the middle of their ranges, which are not those that the twin begins with.
+    plant = settings.plant.model().typical()
+    seen = camera.realise(reference.size, law.period, seed=1)
+    states = begin(plant, reference[0])
+    loop = simulate_closed_loop(plant, reference, states=states, law=law, sensor=seen)
+    judge_samples("simulated", samples_of(Window(reference, loop.output, loop.input)), settings)
+
+
+def _judge_channels() -> None:
+    """Watch a simulated plant with two inputs and outputs, for a minute."""
+    import numpy as np  # noqa: PLC0415
+
+    from twinmatch.dynamics import begin, simulate_driven  # noqa: PLC0415
+    from twinmatch.health.channels import ChannelMonitor  # noqa: PLC0415
+    from twinmatch.plants import TCLabBoth  # noqa: PLC0415
+    from twinmatch.signals import Sample  # noqa: PLC0415
+
+    kit = TCLabBoth.model(TCLabBoth.followed).typical()
+    inputs = np.repeat([[30.0, 20.0], [50.0, 40.0]], 30, axis=0)
+    outputs = simulate_driven(kit, inputs, states=begin(kit, [30.0, 28.0])).outputs
+    outputs += 0.05 * np.random.default_rng(1).standard_normal(outputs.shape)
+    monitor = ChannelMonitor(kit, period=1.0)
+    for k in range(len(inputs)):
+        monitor.push(Sample(k, k, (0.0, 0.0), tuple(outputs[k]), tuple(inputs[k])))

@@ -15,7 +15,7 @@ from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.simulation import law_code, n_references, signal_rows
-from twinmatch.dynamics.variances import BANDED, MEAN, foresee, foresee_each, noise_effects
+from twinmatch.dynamics.variances import BANDED, MEAN, foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
 
 
@@ -118,8 +118,8 @@ class Foresight:
         given = model.noise if noise is None else np.atleast_1d(noise)
         noises = _fit(model.title, "noise", given, model.noise.shape)
         self._then = period, noises * noises, float(swift)
-        external = model.is_external
-        self._codes = np.stack([np.zeros(0) if external else kernels.code for kernels in self._kernels])
+        if not model.is_external:
+            self._codes = np.stack([kernels.code for kernels in self._kernels])
 
     def at(
         self,
@@ -168,16 +168,6 @@ class Foresight:
         Raises:
             PlantError: a signal is invalid.
         """
-        n, _, k = self.sizes[0].tolist()
-        period, *then = self._then
-        if self._model.is_external:
-            return LoopForecast._make(
-                self._kernels[0].call(
-                    foresee, self._vectors[0], self._which[0].reshape(2, k), now.states[0].copy(),
-                    now.covariances[0].reshape(n + k, n + k).copy(), self._process_noise[0], *now[2:],
-                    *self._rows(signal, disturbances), period, int(self._steps[0]), *then, banded,
-                )
-            )  # fmt: skip
         means, variances = self.each(now, [BANDED if banded else MEAN], signal, disturbances)
         many = self._model.noise.size
         shown = variances[0] if banded else variances[0, :, :0]
@@ -197,11 +187,15 @@ class Foresight:
             PlantError: as `ahead`.
         """
         period, noise, swift = self._then
-        forecasts: tuple[FloatArray, FloatArray] = foresee_each(
-            self._codes, self.sizes, self._vectors, self._which, now.states, now.covariances,
-            self._process_noise, self._steps, np.array(wanted), *now[2:],
-            *self._rows(signal, disturbances), period, noise, swift,
+        rest = (
+            self.sizes, self._vectors, self._which, now.states, now.covariances, self._process_noise,
+            self._steps, np.array(wanted), *now[2:], *self._rows(signal, disturbances), period, noise, swift,
         )  # fmt: skip
+        forecasts: tuple[FloatArray, FloatArray]
+        if self._model.is_external:
+            forecasts = self._kernels[0].foresee_each(*rest)
+        else:
+            forecasts = foresee_each(self._codes, *rest)
         return forecasts
 
     def _rows(

@@ -54,7 +54,7 @@ def foresee_each(
     return means, variances
 
 
-@compiled
+@compiled(inside=True)
 def foresee(
     code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
     process_noise: FloatArray, u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,

@@ -26,6 +26,7 @@ from twinmatch.dynamics import (
     read,
     runs,
     simulate_driven,
+    variances,
 )
 from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.pace import plant_scale
@@ -46,7 +47,7 @@ from twinmatch.signals import FloatArray
 
 _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
-_FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
+_FINITE: Final = {"advance", "run", "run_with_tangents"}
 """Kernels whose results are refused unless all are finite."""
 _ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)}
 """Classes of values that an answer may have."""
@@ -142,9 +143,28 @@ class FmuKernels:
         each = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
         name = f"{kernel.__module__}:{kernel.__name__}"
         result = self._source.ask(name, self._unknown, arguments, each)
-        if kernel.__name__ in _FINITE and not all(np.isfinite(array).all() for array in _arrays(result)):
-            raise FmuError(f"{self._source.title}: the FMU has no finite values at these parameters")
+        if kernel.__name__ in _FINITE:
+            self._require_finite(result)
         return result
+
+    def _require_finite(self, result: Any) -> None:
+        if not all(np.isfinite(array).all() for array in _arrays(result)):
+            raise FmuError(f"{self._source.title}: the FMU has no finite values at these parameters")
+
+    def foresee_each(  # noqa: PLR0917 — as the kernel
+        self, sizes: NDArray[np.int64], vectors: FloatArray, which: NDArray[np.int64], states: FloatArray,
+        covariances: FloatArray, process_noise: FloatArray, steps: NDArray[np.int64],
+        wanted: NDArray[np.int64], *others: Any,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """As `twinmatch.dynamics.variances.foresee_each`, of this FMU alone."""
+        given = sizes, vectors, which, states, covariances, process_noise, steps, wanted, *others
+        means: FloatArray
+        spreads: FloatArray
+        means, spreads = self.call(variances.foresee_each, *given)
+        self._require_finite(means)
+        if wanted[0] == variances.BANDED:  # otherwise they are NaN
+            self._require_finite(spreads)
+        return means, spreads
 
     def step_count(self, *arguments: Any) -> int:
         """Runge–Kutta steps per sample; 1 for co-simulation."""

@@ -25,6 +25,7 @@ import numba
 import numpy as np
 
 from twinmatch.dynamics.kernels import Code
+from twinmatch.dynamics.variances import foresee_each
 from twinmatch.fmu import functions, machine
 from twinmatch.fmu.archive import (
     CO_SIMULATION,
@@ -241,7 +242,10 @@ class FmuWorker:
         before = [array.tobytes() for array in arrays]
         own = (self._fmu.machine,) if kernel is functions.normal_at else ()
         given = value_of(header["arguments"], arrays, _named)
-        whole = (self._fmu.code(header["unknown"], header["shown"]), *own, *given)
+        code = self._fmu.code(header["unknown"], header["shown"])
+        if kernel is foresee_each:  # of several plants, of which this is the only one
+            code = code[np.newaxis]
+        whole = (code, *own, *given)
         kinds = tuple(map(numba.typeof, whole))
         if kinds not in kernel.overloads:
             self._say(packed({"loading": True}))

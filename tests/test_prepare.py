@@ -1,0 +1,42 @@
+"""What `twinmatch prepare` compiles is what a first replay would wait for."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tests.support.places import SHIPPED
+from tests.support.processes import Process
+
+USE = """
+import gc, sys
+from numba.core.dispatcher import Dispatcher
+from twinmatch.cli import main, prepare
+from twinmatch.plants import PLANTS
+
+gc.unfreeze()  # whoever forked this process has frozen what it had imported
+
+def used():
+    kernels = [kernel for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)]
+    return {kernel.py_func.__qualname__: kernel.signatures for kernel in kernels if kernel.signatures}
+
+prepare._derive([PLANTS["peltier"]])
+prepare._compare_models()
+prepare._judge_a_loop()
+prepare._judge_channels()
+prepared = used()
+assert main(["replay", sys.argv[1]]) == 0
+replayed = used()
+assert len(replayed) > 20
+assert replayed == prepared, replayed.keys() - prepared.keys()
+print("the same")
+"""
+
+
+def test_a_replay_uses_no_kernel_that_was_not_prepared(tmp_path: Path) -> None:
+    script = tmp_path / "use.py"
+    script.write_text(USE)
+    words = (sys.executable, script, SHIPPED)
+    done = Process(*words, output=tmp_path / "said.txt", forked=True)
+    assert done.wait() == 0, done.text
+    assert done.lines[-1] == "the same"
