@@ -14,7 +14,7 @@ from numba.core.dispatcher import Dispatcher
 from twinmatch.cli import main, prepare
 from twinmatch.plants import PLANTS
 
-gc.unfreeze()  # whoever forked this process has frozen what it had imported
+gc.unfreeze()  # what was imported before this process was forked is frozen
 
 def used():
     kernels = [kernel for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)]

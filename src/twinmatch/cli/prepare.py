@@ -71,23 +71,18 @@ def _judge_a_loop() -> None:
     """Have the engine judge a simulated quarter of an hour: matches, trust, health and confidence."""
     import numpy as np  # noqa: PLC0415
 
-    from twinmatch.dynamics import begin, simulate_closed_loop  # noqa: PLC0415
+    from twinmatch.dynamics import Sensor, begin, simulate_closed_loop  # noqa: PLC0415
     from twinmatch.offline.judging import judge_samples  # noqa: PLC0415
     from twinmatch.sessions import samples_of  # noqa: PLC0415
     from twinmatch.signals import Window  # noqa: PLC0415
     from twinmatch.twin import TwinSettings  # noqa: PLC0415
 
     settings = TwinSettings()
-    law = settings.law
-    camera = settings.plant.sensor
-    assert law is not None  # the default plant is a loop, seen by a camera
-    assert camera is not None
     reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
     # Parameters in the middle of their ranges, which are not those that the twin begins with.
     plant = settings.plant.model().typical()
-    seen = camera.realise(reference.size, law.period, seed=1)
-    states = begin(plant, reference[0])
-    loop = simulate_closed_loop(plant, reference, states=states, law=law, sensor=seen)
+    camera = Sensor(noise=0.1).realise(reference.size, 1.0, seed=1)
+    loop = simulate_closed_loop(plant, reference, states=begin(plant, reference[0]), sensor=camera)
     judge_samples("simulated", samples_of(Window(reference, loop.output, loop.input)), settings)
 
 
