@@ -11,8 +11,8 @@ from benchmarks.abroad import Order
 from tests.support.abroad import KINDS, AbroadPlant
 from tests.support.watched import Watched, watched
 from twinmatch.dynamics import begin, simulate_driven
-from twinmatch.health import Alarm, HealthSettings, Monitor
-from twinmatch.health.changes import ChangeDetector, Kind
+from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.health.changes import ChangeDetector
 from twinmatch.health.lagged_effect import LaggedEffect
 from twinmatch.health.rivals import Cause, costs_of_causes, effects_of_causes
 from twinmatch.plants import TCLab
@@ -118,13 +118,13 @@ def test_what_readings_cannot_tell_apart_gets_no_wrong_name(mishap: str, name: s
 def test_a_lost_drive_has_no_freedom_and_shows_sooner() -> None:
     """A tracker with that hypothesis, and its rivals: heat from elsewhere, for good or for a while."""
     asked = ChangeDetector(HealthSettings.of(TCLab).followed, 1.0, steps=True).hypotheses
-    [lost] = [h for h in asked if h.kind is Kind.LOST]
-    [share] = [h for h in asked if h.kind is Kind.DRIVE and not h.slowly]
+    [lost] = [h for h in asked if h.fault is Fault.DRIVE_LOST]
+    [share] = [h for h in asked if h.fault is Fault.DRIVE_WEAK and not h.slowly]
     assert (lost.index, lost.shift) == (share.index, -1.0)
     assert lost.spread < share.spread
-    assert [h.kind for h in asked if h.vague] == [Kind.ROOM, Kind.PASSING]
+    assert [h.fault for h in asked if h.vague] == [Fault.ROOM_CHANGED, Fault.DISTURBANCE]
     prompt = ChangeDetector(HealthSettings().followed, 1.0).hypotheses
-    assert Kind.LOST not in {h.kind for h in prompt}
+    assert Fault.DRIVE_LOST not in {h.fault for h in prompt}
 
 
 def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:

@@ -21,7 +21,7 @@ from twinmatch.dynamics.pace import usual_scale
 from twinmatch.health.channel_sentences import ChannelSentences
 from twinmatch.health.channels import CHANGE, LEAD
 from twinmatch.health.evidence import Competition
-from twinmatch.health.faults import Fault
+from twinmatch.health.faults import TRAITS
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.mixture import LEVELS
 from twinmatch.signals import FloatArray
@@ -44,7 +44,7 @@ _APART: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) *
 """Expected lead of a fault over another, nats, from which on it is named in nine of ten runs: a name needs a
 lead of `LEAD`, and noise moves one of n nats by √(2 n), the standard deviation of the log-likelihood ratio of
 two normal distributions that are n apart. It is 9.6."""
-_NOT_NAMED: Final = frozenset({Fault.DRIFT, Fault.DISTURBANCE})
+_NOT_NAMED: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.unnamed)
 """The unknown is nobody's rival; what passes has passed when it counts."""
 
 

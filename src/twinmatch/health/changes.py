@@ -13,7 +13,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,26 +21,11 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker
+from twinmatch.health.faults import TRAITS, Fault
 from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import HORIZONS, TrackRecord
 from twinmatch.health.tracking import REACH, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
-
-
-class Kind(Enum):
-    """What has changed."""
-
-    LOSSES = "losses"
-    ROOM = "room"
-    DRIVE = "drive"
-    LOST = "lost drive"
-    """All of it: without the freedom of a share, it shows apart from larger losses sooner."""
-    SENSOR = "sensor"
-    OTHER = "other"
-    """Something else pushes the output, from now on …"""
-    PASSING = "passing"
-    """… or for a while: a hand on the plate, a draught, a knock against the load."""
-
 
 _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
 """A fan that fails, a lid that opens: logarithm of the factor, and its spread."""
@@ -69,13 +53,13 @@ _RARE: Final = 2.5
 """Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more often, and
 the sink's response to that looks much the same."""
 _MIN_SIZE: Final = {
-    Kind.LOSSES: 0.4,
-    Kind.ROOM: 0.3,
-    Kind.DRIVE: 0.08,
-    Kind.LOST: 0.6,
-    Kind.SENSOR: 10.0,
-    Kind.OTHER: 0.3,
-    Kind.PASSING: 0.5,
+    Fault.LOSSES_CHANGED: 0.4,
+    Fault.ROOM_CHANGED: 0.3,
+    Fault.DRIVE_WEAK: 0.08,
+    Fault.DRIVE_LOST: 0.6,
+    Fault.SENSOR_DRIFT: 10.0,
+    Fault.DRIFT: 0.3,
+    Fault.DISTURBANCE: 0.5,
 }
 """Changes smaller than this, in the same units, are not reported."""
 
@@ -84,7 +68,8 @@ _MIN_SIZE: Final = {
 class Hypothesis:
     """One number of a belief has changed."""
 
-    kind: Kind
+    fault: Fault
+    """What it would be."""
     index: int
     """Index of that number in the belief."""
     shift: float
@@ -126,7 +111,7 @@ class DetectedChange:
     """Its value now."""
     begun: bool
     """Whether it began at `first`; False if it may have been there from the start."""
-    rivals: tuple[Kind, ...] = ()
+    rivals: tuple[Fault, ...] = ()
     """The other kinds, best first …"""
     gains: tuple[float, ...] = ()
     """… and what each gains."""
@@ -138,12 +123,12 @@ class DetectedChange:
         """By how much the number has changed."""
         return self.value - self.before
 
-    def behind(self, kind: Kind) -> float:
+    def behind(self, fault: Fault) -> float:
         """How many nats less a change of this kind gains than the best one."""
-        if kind is self.hypothesis.kind:
+        if fault is self.hypothesis.fault:
             return 0.0
         gains = dict(zip(self.rivals, self.gains, strict=True))
-        return self.gain - gains.get(kind, -math.inf)
+        return self.gain - gains.get(fault, -math.inf)
 
 
 def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) -> Sequence[Hypothesis]:
@@ -156,33 +141,39 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
     for name in tracker.free:
         declared = tracker.parameters.model.declared[name]
         logged = bool(tracker.logged[tracker.free.index(name)])
-        if declared.role == Kind.LOSSES.value and logged:
-            least = _MIN_SIZE[Kind.LOSSES]
-            found += [Hypothesis(Kind.LOSSES, tracker.at[name], s, w, least, name) for s, w in _LOSSES]
-        if declared.role == Kind.ROOM.value:
+        if declared.role == TRAITS[Fault.LOSSES_CHANGED].role and logged:
+            least = _MIN_SIZE[Fault.LOSSES_CHANGED]
+            found += [
+                Hypothesis(Fault.LOSSES_CHANGED, tracker.at[name], s, w, least, name) for s, w in _LOSSES
+            ]
+        if declared.role == TRAITS[Fault.ROOM_CHANGED].role:
             scale = 0.05 if logged else declared.scale
-            least = _MIN_SIZE[Kind.ROOM] * scale
-            found.append(Hypothesis(Kind.ROOM, tracker.at[name], 0.0, _ROOM * scale, least, name))
-    found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.kind is Kind.ROOM]
+            least = _MIN_SIZE[Fault.ROOM_CHANGED] * scale
+            found.append(Hypothesis(Fault.ROOM_CHANGED, tracker.at[name], 0.0, _ROOM * scale, least, name))
+    found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.fault is Fault.ROOM_CHANGED]
     if steps:
         price = math.log(_ONSETS)
-        found.append(Hypothesis(Kind.LOST, tracker.share, -1.0, _LOST, _MIN_SIZE[Kind.LOST], price=price))
-    for kind, index, unit, spread in (
-        (Kind.DRIVE, tracker.share, 1.0, _SHARE),
-        (Kind.SENSOR, tracker.offset, noise, _OFFSET),
-        (Kind.OTHER, tracker.push, noise / period, _PUSH),
+        found.append(
+            Hypothesis(Fault.DRIVE_LOST, tracker.share, -1.0, _LOST, _MIN_SIZE[Fault.DRIVE_LOST], price=price)
+        )
+    for fault, index, unit, spread in (
+        (Fault.DRIVE_WEAK, tracker.share, 1.0, _SHARE),
+        (Fault.SENSOR_DRIFT, tracker.offset, noise, _OFFSET),
+        (Fault.DRIFT, tracker.push, noise / period, _PUSH),
     ):
-        sudden = Hypothesis(kind, index, 0.0, spread * unit, _MIN_SIZE[kind] * unit)
-        found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
+        sudden = Hypothesis(fault, index, 0.0, spread * unit, _MIN_SIZE[fault] * unit)
+        found += (
+            [sudden] if fault is Fault.DRIFT else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
+        )
     scale = slow_scale(tracker.parameters.model.plant, period)
     unit = noise / (scale if scale > 1.0 else time_scale(period))
     if steps:
-        found += [replace(h, at_once=True) for h in found if h.kind is Kind.SENSOR and not h.slowly]
-    passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _MIN_SIZE[Kind.PASSING] * unit)
+        found += [replace(h, at_once=True) for h in found if h.fault is Fault.SENSOR_DRIFT and not h.slowly]
+    passing = Hypothesis(Fault.DISTURBANCE, tracker.fading, 0.0, 0.0, _MIN_SIZE[Fault.DISTURBANCE] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
-    for room in [h for h in found if h.kind is Kind.ROOM and not h.slowly and steps]:
+    for room in [h for h in found if h.fault is Fault.ROOM_CHANGED and not h.slowly and steps]:
         heat = replace(room, spread=_HEAT / _ROOM * room.spread, vague=True)
-        found += [heat, replace(heat, kind=Kind.PASSING, least=passing.least, ceases=True)]
+        found += [heat, replace(heat, fault=Fault.DISTURBANCE, least=passing.least, ceases=True)]
     return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
 
 
@@ -201,7 +192,7 @@ _LEARN: Final = 30
 _WORTH: Final = 4.0
 """Nats that a jump must save before the tracker is run for each hypothesis, and by which one onset must beat
 another to count as the beginning of the change."""
-_LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER, Kind.PASSING})
+_LESS_ACCURATE: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT, Fault.DISTURBANCE})
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
 _COARSE: Final = 2.0
@@ -252,9 +243,9 @@ class ChangeDetector:
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
         self._steps = steps
         self._back: Hypothesis | None = None
-        lasting = [h for h in self.hypotheses if h.kind is not Kind.PASSING and not h.vague]
+        lasting = [h for h in self.hypotheses if h.fault is not Fault.DISTURBANCE and not h.vague]
         self._jumps = list({h.index: h for h in lasting}.values())
-        self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
+        self._offset = next(h for h in self.hypotheses if h.fault is Fault.SENSOR_DRIFT)
         self._best: tuple[DetectedChange, _Found] | None = None
         self.changed = False
         """Whether the plant is known to be changed, and to come back some time."""
@@ -444,7 +435,7 @@ class ChangeDetector:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
         nothing, before = self.tracked.unchanged()
         dispersion = self.track_record.dispersion
-        found: dict[Kind, _Found] = {}
+        found: dict[Fault, _Found] = {}
 
         def saved(cost: float, age: int) -> float:
             """What a code for the blocks since then saves, in nats that count."""
@@ -456,17 +447,17 @@ class ChangeDetector:
         self._courses = {key: one for key, one in self._courses.items() if key[1] >= blocks[0].first}
         stretches = {age: joined(blocks[-age:]) for age in ages}
         for age, h, level in itertools.product(ages, likely, self.tracked.levels):
-            if level > self.tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
+            if level > self.tracked.level and (h.ceases or h.fault not in _LESS_ACCURATE):
                 continue
             belief, cost = self._run(h, age, level, stretches[age])
             gain = saved(cost, age)
-            if h.kind not in found or gain > found[h.kind].gain:
-                found[h.kind] = _Found(gain, h, age, level, belief)
+            if h.fault not in found or gain > found[h.fault].gain:
+                found[h.fault] = _Found(gain, h, age, level, belief)
         order = sorted(found.values(), key=lambda f: -f.gain)
-        if self._passed(found[Kind.PASSING]):  # then a number that has come back has not changed
-            order = [f for f in order if f.hypothesis.kind is Kind.PASSING or not self._came_back(f)]
+        if self._passed(found[Fault.DISTURBANCE]):  # then a number that has come back has not changed
+            order = [f for f in order if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)]
         else:
-            order = [f for f in order if f.hypothesis.kind is not Kind.PASSING]
+            order = [f for f in order if f.hypothesis.fault is not Fault.DISTURBANCE]
         gain, h, age, level, belief = order[0]
         if gain < _WORTH:
             self._best = None
@@ -496,9 +487,9 @@ class ChangeDetector:
             before=float(onset.before[self.tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
-            rivals=tuple(f.hypothesis.kind for f in order[1:]),
+            rivals=tuple(f.hypothesis.fault for f in order[1:]),
             gains=tuple(f.gain - (order[0].gain - gain) for f in order[1:]),
-            off=self._shift(found[Kind.SENSOR]),
+            off=self._shift(found[Fault.SENSOR_DRIFT]),
         )
         self._best = (change, order[0]._replace(belief=belief))
         return change
@@ -545,7 +536,7 @@ class ChangeDetector:
         if h.at_once:
             came = stretch.output[: 2 + _EVERY * size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
-        if h.kind is Kind.LOST:
+        if h.fault is Fault.DRIVE_LOST:
             places = np.linspace(0, _EVERY * size, _ONSETS, endpoint=False).astype(int)
             jumps = [self._jumped(h, before, stretch, int(place), level) for place in places]
             return lambda readings: min((to(readings) for to in jumps), key=lambda one: one[1])

@@ -15,6 +15,7 @@ from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.faults import (
     HOUR,
     SLOW,
+    TRAITS,
     Alarm,
     EstimatedReading,
     Fault,
@@ -40,8 +41,8 @@ _YOUNG: Final = 120.0
 """Time after the first sample in which only a lost drive is named, s …"""
 _LEARNED: Final = 1200.0
 """… and from which on the plant's parameters are known well enough to say that they have changed."""
-_SLOW: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIVE_WEAK, Fault.DRIFT})
-"""Changes of parameters."""
+_LEARNED_FIRST: Final = frozenset(f for f, traits in TRAITS.items() if traits.another_plant) | {Fault.DRIFT}
+"""Faults that may be parameters that are not known yet."""
 _SIZED: Final = 30.0
 """Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
 _PASSED: Final = 15.0
@@ -242,9 +243,9 @@ class ChannelMonitor:
             self._standing.remove(back)
             if self.on is not None and self.on.fault is back[0]:
                 self._close()
-        wait = _LEARNED if best.cause[0] in _SLOW else _YOUNG
+        wait = _LEARNED if best.cause[0] in _LEARNED_FIRST else _YOUNG
         young = self.competition.known < wait and best.cause[0] is not Fault.DRIVE_LOST
-        if best.cause[0] in _SLOW and self.competition.rough:
+        if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
         material = abs(best.shift) >= best.row.least
         if back is None and material and not young:

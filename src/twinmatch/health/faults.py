@@ -1,8 +1,8 @@
-"""Faults of a plant: their names, which replaces which, and the sentences that describe their evidence."""
+"""Faults of a plant: a row for each kind, which replaces which, and the sentences about their evidence."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
@@ -46,8 +46,113 @@ class Fault(Enum):
     """The plant no longer behaves as before, and the samples do not show why."""
 
 
-SLOW = frozenset({Fault.SENSOR_DRIFT, Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT})
-"""Changes of a plant that still obeys its drive: matching adapts the twin to them."""
+class Subject(Enum):
+    """What of a plant a fault concerns."""
+
+    DRIVE = "drive"
+    OUTPUT = "output"
+    PARAMETER = "parameter"
+    """The first one that the plant file gives the role of `FaultTraits.role`."""
+    ANYTHING = "anything"
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTraits:
+    """All that is said and known of a kind of fault before it happens."""
+
+    subject: Subject
+    cause: str
+    """What has changed, on a plant with one loop."""
+    suspect: str = ""
+    """What may have changed, on a plant with several signals; `{name}` is the signal's or the parameter's."""
+    sentence: str = ""
+    """What has changed there and where to look; `{size}` is by how much."""
+    role: str = ""
+    """Role of the parameter that it changes."""
+    slow: bool = False
+    """Whether the plant still obeys its drive: matching adapts the twin to it."""
+    another_plant: bool = False
+    """Whether parameters of the plant are others: forecasts made meanwhile say nothing of its twin."""
+    unnamed: bool = False
+    """Whether it names no cause."""
+    blinds: bool = False
+    """Whether nothing else can be learned about the plant while it is on."""
+
+
+TRAITS: Final[Mapping[Fault, FaultTraits]] = {
+    Fault.DRIVE_LOST: FaultTraits(
+        Subject.DRIVE,
+        cause="its drive",
+        suspect="the drive {name}",
+        sentence="{name} has no effect: look at it, its wires and its supply",
+        blinds=True,
+    ),
+    Fault.DRIVE_WEAK: FaultTraits(
+        Subject.DRIVE,
+        cause="its drive",
+        suspect="the drive {name}",
+        sentence="{name} has {size} of its effect: look at it, its wires and its supply",
+        another_plant=True,
+    ),
+    Fault.SENSOR_FROZEN: FaultTraits(
+        Subject.OUTPUT,
+        cause="the reading",
+        suspect="a frozen {name}",
+        sentence="{name} repeats one reading, and should have moved: look at its sensor",
+        blinds=True,
+    ),
+    Fault.SENSOR_LATE: FaultTraits(Subject.OUTPUT, cause="the reading", blinds=True),
+    Fault.SENSOR_IMPLAUSIBLE: FaultTraits(
+        Subject.OUTPUT,
+        cause="the reading",
+        suspect="an impossible {name}",
+        sentence="{name} is read as what it cannot be: look at its sensor",
+        blinds=True,
+    ),
+    Fault.SENSOR_DRIFT: FaultTraits(
+        Subject.OUTPUT,
+        cause="the reading",
+        suspect="the reading of {name}",
+        sentence="the readings of {name} are off by about {size}: compare with another instrument",
+        slow=True,
+    ),
+    Fault.LOSSES_CHANGED: FaultTraits(
+        Subject.PARAMETER,
+        cause="its losses",
+        suspect="losses ({name})",
+        sentence="losses ({name}) are {size} what they were: look at {surroundings}",
+        role="losses",
+        slow=True,
+        another_plant=True,
+    ),
+    Fault.ROOM_CHANGED: FaultTraits(
+        Subject.PARAMETER,
+        cause="the room",
+        suspect="{name}",
+        sentence="{name} has changed by {size}: look at {surroundings}",
+        role="room",
+        slow=True,
+        another_plant=True,
+    ),
+    Fault.DISTURBANCE: FaultTraits(
+        Subject.ANYTHING,
+        cause="something that passes",
+        suspect="a passing push on {name}",
+        sentence="something other than the drives moved {name} and has ceased: look at {surroundings}",
+        unnamed=True,
+    ),
+    Fault.DRIFT: FaultTraits(
+        Subject.ANYTHING,
+        cause="something unknown",
+        suspect="something that acts as {name} does",
+        sentence="the plant behaves differently, and the samples do not tell apart: {rivals}",
+        slow=True,
+        unnamed=True,
+    ),
+}
+
+SLOW: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.slow)
+"""Changes of a plant that still obeys its drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +242,10 @@ class EstimatedReading:
     """… and for how long from the first sample on it was to be that, s; at most an hour is looked ahead."""
 
 
-_SUDDEN: Final = frozenset(Fault) - SLOW - {Fault.DISTURBANCE}
-_NAMED: Final = SLOW - {Fault.DRIFT}
+_SUDDEN: Final = frozenset(
+    fault for fault, traits in TRAITS.items() if not traits.slow and not traits.unnamed
+)
+_NAMED: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.slow and not traits.unnamed)
 PRECEDENCE: Final = {
     Fault.DISTURBANCE: _SUDDEN | SLOW,
     Fault.DRIFT: _SUDDEN | _NAMED | {Fault.DISTURBANCE},
@@ -146,10 +253,6 @@ PRECEDENCE: Final = {
     **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
 }
 """For each fault, the graver ones that replace it while it is on."""
-BLINDING: Final = frozenset({
-    Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE,
-})  # fmt: skip
-"""Faults during which nothing else can be learned about the plant."""
 
 
 class Evidence(NamedTuple):
@@ -163,13 +266,6 @@ class Evidence(NamedTuple):
     reason: str
     slow: bool = False
     """Whether it was found by tracking the plant (`SlowChanges`)."""
-
-
-_ROLES: Final = {Fault.LOSSES_CHANGED: "losses", Fault.ROOM_CHANGED: "room"}
-_OF_DRIVES: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
-_OF_SENSORS: Final = frozenset({
-    Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE, Fault.SENSOR_DRIFT,
-})  # fmt: skip
 
 
 class FaultSentences:
@@ -189,12 +285,21 @@ class FaultSentences:
 
     def signal(self, fault: Fault) -> str:
         """Name of what a fault of a plant with one loop concerns; empty where it may be anything."""
-        role = _ROLES.get(fault)
-        if role is not None:
-            return next((n for n, declared in self._plant.parameters.items() if declared.role == role), "")
-        if fault in _OF_SENSORS:
+        traits = TRAITS[fault]
+        if traits.subject is Subject.OUTPUT:
             return self._plant.output.name
-        return self._plant.drive.name if fault in _OF_DRIVES else ""
+        if traits.subject is Subject.DRIVE:
+            return self._plant.drive.name
+        if traits.subject is Subject.PARAMETER:
+            return self._parameter(traits.role)
+        return ""
+
+    def _parameter(self, role: str) -> str:
+        """Name of the first parameter with a role; empty if the plant file gives it to none."""
+        for name, declared in self._plant.parameters.items():
+            if declared.role == role:
+                return name
+        return ""
 
     def refused(self, before: Sample | None, sample: Sample) -> Evidence:
         """A reading that the plant cannot have, or cannot have reached from the sample before."""

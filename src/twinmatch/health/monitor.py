@@ -10,9 +10,9 @@ from twinmatch.dynamics import Parameters
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
 from twinmatch.health.earned import NOTHING
 from twinmatch.health.faults import (
-    BLINDING,
     PRECEDENCE,
     SLOW,
+    TRAITS,
     Alarm,
     EstimatedReading,
     Evidence,
@@ -182,7 +182,7 @@ class Monitor:
     @property
     def _blind(self) -> bool:
         """Whether nothing can be learned about the plant now."""
-        return self._open and self._alarms[-1].spoils and self._alarms[-1].fault in BLINDING
+        return self._open and self._alarms[-1].spoils and TRAITS[self._alarms[-1].fault].blinds
 
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session

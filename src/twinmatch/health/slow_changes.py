@@ -11,32 +11,16 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief
-from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
-from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
+from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis
+from twinmatch.health.faults import TRAITS, Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
 
-_NAMES: Final = {
-    Kind.LOSSES: Fault.LOSSES_CHANGED,
-    Kind.ROOM: Fault.ROOM_CHANGED,
-    Kind.DRIVE: Fault.DRIVE_WEAK,
-    Kind.SENSOR: Fault.SENSOR_DRIFT,
-    Kind.OTHER: Fault.DRIFT,
-    Kind.PASSING: Fault.DISTURBANCE,
-}
-_CAUSES: Final = {
-    Kind.LOSSES: "its losses",
-    Kind.ROOM: "the room",
-    Kind.DRIVE: "its drive",
-    Kind.LOST: "its drive",
-    Kind.SENSOR: "the reading",
-    Kind.OTHER: "something unknown",
-    Kind.PASSING: "something that passes",
-}
-_NAMED: Final = frozenset(_NAMES.values()) - {Fault.DRIFT, Fault.DISTURBANCE}
-_SPOILED: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIVE_WEAK})
-"""What is forecast of a plant so changed, before it is back, says nothing of its twin."""
+_NAMED: Final = frozenset(
+    fault for fault, traits in TRAITS.items() if not traits.unnamed and not traits.blinds
+)
+"""Slow changes that name a cause."""
 _AGREEING: Final = 2
 """Consecutive comparisons that must agree on the kind of change."""
 _UNNAMED_FACTOR: Final = 2.0
@@ -128,7 +112,7 @@ class SlowChanges:
     def blames_drive(self) -> bool:
         """Whether a lost drive explains the readings far better than anything else."""
         change = self._change
-        if change is None or change.hypothesis.kind is not Kind.LOST:
+        if change is None or change.hypothesis.fault is not Fault.DRIVE_LOST:
             return False
         return change.lead >= self._settings.lead
 
@@ -189,7 +173,7 @@ class SlowChanges:
             self._shift = _Shift(change.shift, index, change.before, named=True, open=False)
         if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
-        if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
+        if self.evidence.fault is not Fault.DRIFT or change.hypothesis.fault is Fault.DRIFT:
             self._adopt(lasting=self.evidence.fault is Fault.DRIFT)
         self._expect_back()
 
@@ -208,7 +192,7 @@ class SlowChanges:
         shift = self._shift
         if shift and shift.named and abs(self.offset - shift.before) <= _REMAINDER * abs(shift.size):
             self._end_shift()
-        self._detector.changed = self.reported in _SPOILED
+        self._detector.changed = self.reported is not None and TRAITS[self.reported].another_plant
         self._begin_trial()
         change = self._detector.push(sample)
         if self._trial is not None:
@@ -219,8 +203,8 @@ class SlowChanges:
                 self._leave_doubt(lasting=self._lasted(sample.index))
                 self._clear_suspicion()
             return
-        kind = change.hypothesis.kind
-        self._running = self._running + 1 if self._change and self._change.hypothesis.kind is kind else 1
+        kind = change.hypothesis.fault
+        self._running = self._running + 1 if self._change and self._change.hypothesis.fault is kind else 1
         self._change = change
         self._doubt_readings(change, sample.index)
         if not self._settled(change, sample.index):
@@ -252,7 +236,7 @@ class SlowChanges:
         """Doubt the readings while nothing explains clearly more than that they have shifted."""
         settings = self._settings
         shift = self._shift
-        behind = change.behind(Kind.SENSOR)
+        behind = change.behind(Fault.SENSOR_DRIFT)
         least = _DOUBTED * settings.followed.model.plant.output.noise
         near = behind <= _CLEARLY * settings.lead and abs(change.off) >= least
         sure = change.gain - behind >= settings.change and change.begun and self.earned
@@ -321,10 +305,12 @@ class SlowChanges:
             return True
         reported = self._reported
         h = change.hypothesis
-        if h.kind is Kind.PASSING:
+        if h.fault is Fault.DISTURBANCE:
             return self._absorbed(change)
         same = reported is not None and reported.hypothesis.index == h.index
-        same = same and not (self.reported is Fault.DRIFT and h.kind is Kind.SENSOR)  # now it has a name
+        same = same and not (
+            self.reported is Fault.DRIFT and h.fault is Fault.SENSOR_DRIFT
+        )  # now it has a name
         if not same and h.parameter:
             return False
         usual = reported.before if reported is not None and same else 0.0
@@ -335,7 +321,7 @@ class SlowChanges:
         before: Sequence[Belief] = ()
         if back and same and reported is not None:
             self._over = True
-            before = reported.beliefs if reported.fault in _SPOILED else ()
+            before = reported.beliefs if TRAITS[reported.fault].another_plant else ()
         self._detector.track_record.forget_newest()
         self._adopt(before, lasting=True)
         return True
@@ -343,7 +329,7 @@ class SlowChanges:
     def _is_return(self, change: DetectedChange) -> bool:
         """Whether readings that were only doubted are back where they were."""
         shift = self._shift
-        if shift is None or shift.named or shift.open or change.hypothesis.kind is not Kind.SENSOR:
+        if shift is None or shift.named or shift.open or change.hypothesis.fault is not Fault.SENSOR_DRIFT:
             return False
         undone = -change.shift / shift.size  # more than all of it, if it has grown since
         return 1.0 - _REMAINDER <= undone <= _GROWN and change.lead >= self._settings.lead
@@ -384,23 +370,25 @@ class SlowChanges:
         enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
         enough = enough and self.earned
         material = abs(change.shift) >= h.least
-        named = change.lead >= settings.lead and h.kind is not Kind.OTHER
+        named = change.lead >= settings.lead and h.fault is not Fault.DRIFT
         named = named and (not h.vague or h.ceases)
-        if h.kind is Kind.DRIVE and not (change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0):
+        if h.fault is Fault.DRIVE_WEAK and not (
+            change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0
+        ):
             named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
-        if h.kind is Kind.LOST and named:
+        if h.fault is Fault.DRIVE_LOST and named:
             return Evidence(Fault.DRIVE_LOST, enough, change.first, self._describe(change))
-        if h.kind is Kind.SENSOR and not self._separable(change):
+        if h.fault is Fault.SENSOR_DRIFT and not self._separable(change):
             named = False
-        if named and h.kind is Kind.PASSING:
+        if named and h.fault is Fault.DISTURBANCE:
             passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
             return Evidence(Fault.DISTURBANCE, passed, change.first, reason, slow=True)
         if named:
             sentences = self._sentences
-            places = {Kind.DRIVE: "drive, wires and supply", Kind.SENSOR: sentences.sensor}
-            reason = f"{self._describe(change)}: look at {places.get(h.kind, sentences.surroundings)}"
-            return Evidence(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
+            places = {Fault.DRIVE_WEAK: "drive, wires and supply", Fault.SENSOR_DRIFT: sentences.sensor}
+            reason = f"{self._describe(change)}: look at {places.get(h.fault, sentences.surroundings)}"
+            return Evidence(h.fault, enough and material, change.first, reason, slow=True)
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
@@ -411,14 +399,14 @@ class SlowChanges:
 
     def _separable(self, change: DetectedChange) -> bool:
         """Whether shifted readings have a rival; changed surroundings, if not modelled, look the same."""
-        kinds = (change.hypothesis.kind, *change.rivals)
-        return Kind.ROOM in kinds or Kind.LOSSES in kinds
+        kinds = (change.hypothesis.fault, *change.rivals)
+        return Fault.ROOM_CHANGED in kinds or Fault.LOSSES_CHANGED in kinds
 
     def _ambiguous(self, change: DetectedChange) -> str:
         """Describe a change that the samples cannot attribute to one cause."""
         gains = zip(change.rivals, change.gains, strict=True)
-        near = [_CAUSES[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
-        names = list(dict.fromkeys([_CAUSES[change.hypothesis.kind], *near]))
+        near = [TRAITS[fault].cause for fault, gain in gains if gain > change.gain - self._settings.lead]
+        names = list(dict.fromkeys([TRAITS[change.hypothesis.fault].cause, *near]))
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
             f"the plant no longer behaves as before; {listed} may have changed, "
@@ -430,14 +418,14 @@ class SlowChanges:
         h = change.hypothesis
         output = self._sentences.output
         unit = self._sentences.unit
-        if h.kind is Kind.LOST:
+        if h.fault is Fault.DRIVE_LOST:
             return f"the drive has no effect on {output}: look at drive, wires and supply"
-        if h.kind is Kind.DRIVE:
+        if h.fault is Fault.DRIVE_WEAK:
             return f"the drive has {1.0 + change.value:.0%} of its expected effect on {output}"
-        if h.kind is Kind.SENSOR:
+        if h.fault is Fault.SENSOR_DRIFT:
             return f"the readings of {output} have shifted by {signed(change.shift)}{unit}"
         declared = self._settings.followed.model.declared[h.parameter]
-        if h.kind is Kind.LOSSES:
+        if h.fault is Fault.LOSSES_CHANGED:
             factor = math.exp(change.shift)
             return f"the losses are {factor:.2g} times those before ({declared.text})"
         of_parameter = f" {declared.unit}".rstrip()
