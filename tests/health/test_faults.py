@@ -21,7 +21,7 @@ def test_a_sentence_has_all_that_it_names(fault: Fault) -> None:
 
 
 def test_what_a_guard_acts_on_are_sudden_faults_and_readings_that_shift() -> None:
-    """A guard knows names alone: it is told by messages."""
+    """A guard knows names alone, those of messages."""
     names = {fault.value for fault in Fault}
     accusations = set().union(*ACCUSED.values())
     assert accusations <= names
