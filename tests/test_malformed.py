@@ -20,11 +20,11 @@ def test_malformed_documents_are_refused_or_read(kind: str, tmp_path: Path) -> N
     """`python -m benchmarks.malformed` reads a thousand of each kind."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of numbers near the largest
-        found = list(readings(kind, DOCUMENTS, 11, tmp_path))
-    bugs = [reading.bug for reading in found if reading.bug is not None]
+        results = list(readings(kind, DOCUMENTS, 11, tmp_path))
+    bugs = [reading.bug for reading in results if reading.bug is not None]
     if bugs:
         raise bugs[0]
-    assert sum(not reading.accepted for reading in found) > 0
+    assert sum(not reading.accepted for reading in results) > 0
 
 
 @pytest.mark.parametrize(
