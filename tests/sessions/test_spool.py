@@ -44,7 +44,7 @@ def test_rows_are_the_samples_with_these_indices(
         first = max(0, begin - 20) + first
         wanted = [s for s in samples if first <= s.index < first + count][:most]
         rows = spool.rows(first, count, most)
-        found = [
+        spooled = [
             Sample(
                 row["index"].item(),
                 row["stamp"].item(),
@@ -53,7 +53,7 @@ def test_rows_are_the_samples_with_these_indices(
             )
             for row in rows
         ]
-        assert found == wanted
+        assert spooled == wanted
 
 
 @given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
@@ -78,9 +78,9 @@ def test_a_sample_takes_no_memory() -> None:
     try:
         for k in range(1000, 9_000):
             spool.push(Sample(k, k, 1.0, 2.0, 3.0))
-        taken, _ = tracemalloc.get_traced_memory()
+        memory, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert taken < 8_000  # a byte per sample would be as much
+    assert memory < 8_000  # a byte per sample would be as much
     assert len(spool) == 9_000
     spool.close()
