@@ -233,8 +233,8 @@ def test_each_new_image_is_passed_on_once() -> None:
     packets = [p for counter in (1, 1, 1, 2, 2, 2, 3) for p in [*frame_packets(counter), DISCARD]]
     source = opened(FakeSpi(packets))
     got = []
-    while (exposure := source.read(0.05)) is not None:
-        got.append(exposure.frame_counter)
+    while (passed_on := source.read(0.05)) is not None:
+        got.append(passed_on.frame_counter)
     assert got == [1, 2, 3]
     assert source.name == "Lepton on /dev/spidev0.0 and /dev/i2c-1"
 
@@ -246,8 +246,8 @@ def test_a_picture_that_stands_still_is_repeated(monkeypatch: pytest.MonkeyPatch
     packets = [p for _ in range(26) for p in frame_packets(7, status=2 << 4)]
     source = opened(FakeSpi(packets))
     got = []
-    while (exposure := source.read(0.5)) is not None:
-        got.append(exposure)
+    while (passed_on := source.read(0.5)) is not None:
+        got.append(passed_on)
     assert {e.frame_counter for e in got} == {7}
     assert all(e.frozen for e in got)
     # 63 packets of a millisecond each: a frame every 63 ms, of which every second is passed on.
@@ -260,9 +260,9 @@ def test_lost_sync_means_silence_and_then_frames_again() -> None:
     bad[10] = bytes(4) + bad[10][4:]
     # After the damaged packet what was fetched with it is thrown away.
     source = opened(FakeSpi([*bad, *[DISCARD] * 20, *frame_packets(2)]), sleeps)
-    exposure = source.read(1.0)
-    assert exposure is not None
-    assert exposure.frame_counter == 2
+    first_after = source.read(1.0)
+    assert first_after is not None
+    assert first_after.frame_counter == 2
     assert sleeps.count(RESYNC_SILENCE) >= 2
     assert RESYNC_SILENCE > 5 / 27
 

@@ -78,9 +78,9 @@ def test_a_memory_learns_from_a_damaged_session_only_if_told(tmp_path, capsys):
     memory = tmp_path / "memory.sqlite"
     words = ["remember", str(session), "--memory", str(memory), "--plant", "peltier"]
     assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "the checksum of a chunk is wrong" in said
-    assert "give --although to learn from what is there" in said
+    refusal = capsys.readouterr().err
+    assert "the checksum of a chunk is wrong" in refusal
+    assert "give --although to learn from what is there" in refusal
     assert Memory(memory).lessons() == []
     assert main([*words, "--although"]) == 0
     printed = capsys.readouterr()

@@ -282,15 +282,15 @@ def follow(run: LieRun) -> LieOutcome:
         if k == run.restarts:
             gate = OutputGate(clocks, _guards(run.kind))
         true = readings(plant, states)
-        seen = true + noise[k]
+        measured = true + noise[k]
         for channel, history in enumerate(histories):
             history.append(float(true[channel]))
             if run.lie is not None and k >= run.begins and channel in run.channels:
-                seen[channel] += run.lie(k - run.begins, history) - history[-1]
-        command = np.atleast_1d(controller.step(reference, seen))
-        states, passed = drive_for_a_second(gate, clocks, k, plant, states, seen, command)
-        gate.sample(tuple(reference), tuple(seen), tuple(passed if gate.fault is not None else command))
-        outcome.limited += int(gate.armed and bool((passed < command).any()))
+                measured[channel] += run.lie(k - run.begins, history) - history[-1]
+        command = np.atleast_1d(controller.step(reference, measured))
+        states, applied = drive_for_a_second(gate, clocks, k, plant, states, measured, command)
+        gate.sample(tuple(reference), tuple(measured), tuple(applied if gate.fault is not None else command))
+        outcome.limited += int(gate.armed and bool((applied < command).any()))
         _judge(run, k, true, outcome)
         if gate.fault is not None and not gate.armed and k > 1 and not outcome.fault:
             outcome.fault = gate.fault.kind.value

@@ -42,13 +42,13 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     `free`: heat that no file knows of, of people and the sun, kW: as much as on a bright day at noon.
     """
     random = np.random.default_rng(seed)
-    every = round(PERIOD / period)
-    size = _SIZE * every
+    rows_per_period = round(PERIOD / period)
+    size = _SIZE * rows_per_period
     hours = np.arange(size) * period / 3600.0
-    wander = np.cumsum(random.normal(0.0, 0.15 / every**0.5, size))
+    wander = np.cumsum(random.normal(0.0, 0.15 / rows_per_period**0.5, size))
     outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
     levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
-    heating = np.repeat(levels, 6 * every)
+    heating = np.repeat(levels, 6 * rows_per_period)
     store = random.uniform(2.0, 6.0)  # kWh/K
     loss = random.uniform(0.1, 0.25)  # kW/K
     floor = random.uniform(0.5, 2.0)
@@ -71,10 +71,10 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     bright = np.repeat(random.uniform(0.0, 1.0, 12), size // 12)  # of each day
     at_home = np.repeat(random.uniform(size=2 * 12) < 0.6, size // 24)  # of each half
     sun = bright * np.maximum(np.sin(2 * np.pi * (hours - 6.0) / 24.0), 0.0)
-    other = free * (sun + 0.3 * at_home)
+    free_heat = free * (sun + 0.3 * at_home)
     for k in range(size):
         air[k] = states[0]
-        states = moves @ [*states, heating[k], outside[k], other[k]]
+        states = moves @ [*states, heating[k], outside[k], free_heat[k]]
     air += noise
     return Window(air, air, heating, period=period, disturbances=outside[:, None])
 

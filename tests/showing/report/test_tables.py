@@ -88,8 +88,8 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> No
 
 def test_the_page_shows_it_too(shipped: SessionReport) -> None:
     judgement = shipped.judged.judgement
-    told = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
-    text = replace(shipped, judged=replace(shipped.judged, judgement=told)).html()
+    telling_judgement = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
+    text = replace(shipped, judged=replace(shipped.judged, judgement=telling_judgement)).html()
     document = parse(text)
     assert "The choice is certain." in text
     rows = {
