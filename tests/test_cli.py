@@ -121,7 +121,9 @@ def test_a_command_without_its_extra_says_what_to_install(tmp_path: Path, small_
     (tmp_path / "map.yaml").write_text(json.dumps({"plant": "peltier", "structures": structures}))
     files = {"BAG": "bag.bag", "SESSION": str(small_session), "MAP": "map.yaml", "OUT": "results"}
     packages = sorted({package for package, _, _ in BEHIND_EXTRAS})
-    commands = [[files.get(word, word) for word in command] for _, command, _ in BEHIND_EXTRAS]
+    commands = []
+    for _, words, _ in BEHIND_EXTRAS:
+        commands.append([files.get(word, word) for word in words])
     completed = subprocess.run(
         [sys.executable, "-c", WITHOUT_EXTRAS, json.dumps(packages), json.dumps(commands)],
         capture_output=True, text=True, check=True, cwd=tmp_path,

@@ -59,9 +59,9 @@ def test_a_title_is_split_in_one_way(tmp_path: Path) -> None:
     assert split_title("flow [m³/(s·m)]") == ("flow", "m³/(s·m)")
     assert split_title("( " * 200 + "x" + " " * 400) == (("( " * 200 + "x"), "")
     path = tmp_path / "wide.csv"
-    path.write_text(
-        "\n".join(",".join("1" if k else f"c{n}" for n in range(MAX_COLUMNS + 1)) for k in range(4))
-    )
+    titles = ",".join(f"c{number}" for number in range(MAX_COLUMNS + 1))
+    row = ",".join(["1"] * (MAX_COLUMNS + 1))
+    path.write_text("\n".join([titles, row, row, row]))
     with pytest.raises(
         RecordingError, match=r"has 2001 columns, more than 2000; give each sample its own row"
     ):

@@ -253,7 +253,9 @@ def test_images_are_numbered_as_they_change() -> None:
 def test_telemetry_in_the_last_three_rows() -> None:
     rows = np.full((63, 80), 30000)
     rows[60:] = 0
-    rows[60, 3], rows[60, 20], rows[62, 48], rows[62, 49] = 2 << 4, 99, 1, 1
+    rows[60, 3] = 2 << 4
+    rows[60, 20] = 99
+    rows[62, 48:50] = 1
     exposure = opened(FakeCapture(rows, shape=(63, 80))).read(0.1)
     assert exposure is not None
     assert exposure.image.shape == (60, 80)

@@ -43,7 +43,7 @@ def telemetry_rows(counter: int = 1, status: int = 3 << 4, **words: int) -> np.n
     a = {1: 5000, 3: status & 0xFFFF, 4: status >> 16, 20: counter & 0xFFFF, 21: counter >> 16, 24: 30315}
     for word, value in {**a, 30: 1000}.items():
         rows[0, word] = value
-    rows[2, 48], rows[2, 49] = 1, 1
+    rows[2, 48:50] = 1
     for name, value in words.items():
         rows[{"a": 0, "c": 2}[name[0]], int(name[1:])] = value
     return rows

@@ -33,9 +33,12 @@ def section(title: str) -> str:
 
 
 def rows(text: str) -> list[list[str]]:
-    lines = [line for line in text.splitlines() if line.startswith("|")]
-    cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+    cells = [cells_of(line) for line in text.splitlines() if line.startswith("|")]
     return [line for line in cells if not re.fullmatch(r"it says|code|-+", line[0].split("|")[0])]
+
+
+def cells_of(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split(" | ")]
 
 
 def first_words(title: str) -> list[str]:

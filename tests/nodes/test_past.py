@@ -131,13 +131,11 @@ def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
     written: list[tuple[str, bytes]] = []
     past = RecorderPast(NAMES, lambda name, data, _: written.append((name, data)))
     samples = [sample(index) for index in sorted(made)]
-    serialised = [
-        [
-            serialize_message(kind(sample=index, reason=str(n)))
-            for n, index in enumerate(sorted(set(of_kind) & made))
-        ]
-        for kind, of_kind in zip(KINDS, about, strict=True)
-    ]
+    serialised = []
+    for kind, indices_of_kind in zip(KINDS, about, strict=True):
+        sampled = sorted(set(indices_of_kind) & made)
+        messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
+        serialised.append(list(map(serialize_message, messages)))
     with kept(*most) as store:
         for live_sample in samples:
             store.samples.push(live_sample)

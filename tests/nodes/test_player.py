@@ -178,7 +178,9 @@ def test_recorded_time_passes_at_its_rate_unless_paused(
             getattr(pace, action)(wall)
             paused = action == "pause"
         assert (pace.position(wall), pace.rate, pace.paused) == (position, rate, paused)
-        expected_wait = None if paused else 0.0 if rate == 0 else max(0.0, (due - position) / rate)
+        expected_wait = None
+        if not paused:
+            expected_wait = 0.0 if rate == 0 else max(0.0, (due - position) / rate)
         assert pace.wait(due, wall) == expected_wait
         if expected_wait is not None and rate:
             assert pace.position(wall + expected_wait) >= due - 1e-9

@@ -148,7 +148,11 @@ def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
     """Run the rig in this process by plant time: what it did."""
     oven = Oven(PERIOD, HOLD)
     rows_of_oven = [oven.step() for _ in range(ticks)]
-    sent = ([(t, Float64(data=v)) for t, v in zip(TOPICS, values, strict=True)] for values in rows_of_oven)
+
+    def messages_of(row: tuple[float, float, float]) -> list[tuple[str, Float64]]:
+        return [(topic, Float64(data=value)) for topic, value in zip(TOPICS, row, strict=True)]
+
+    sent = map(messages_of, rows_of_oven)
     passed_on(beside, beside.sampler(use_sim_time="true"), dict.fromkeys(TOPICS, Float64), sent)
     return rows_of_oven
 

@@ -87,10 +87,13 @@ def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
     rows = criterion_rows(candidate)
     assert [(r.output, r.order) for r in rows[:3]] == [("y", "22221"), ("y", "33331"), ("y", "44441")]
     assert [r.chosen for r in rows[:3]] == [False, True, False]
-    best = {k: [row.cells[k].best for row in rows[:3]] for k in range(7)}
-    assert best[0] == best[1] == [False] * 3
-    assert best[2] == best[3] == [False, True, True]
-    assert best[4] == best[5] == best[6] == [False, False, True]
+
+    def is_best(column: int) -> list[bool]:
+        return [row.cells[column].best for row in rows[:3]]
+
+    assert is_best(0) == is_best(1) == [False] * 3
+    assert is_best(2) == is_best(3) == [False, True, True]
+    assert is_best(4) == is_best(5) == is_best(6) == [False, False, True]
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.integers(1, 12))

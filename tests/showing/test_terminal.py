@@ -59,8 +59,12 @@ def last_screen(written: str) -> list[str]:
 def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
     """The cells of every candidate, by its name; marks are left out."""
     rows = [re.sub("^[▶○]* *", "", line.strip()) for line in screen]
-    cells_of_rows = [re.split(r" {2,}", row) for row in rows if re.match(r"\d+ °C  ", row)]
-    return {cells[0]: [cell.strip() for cell in cells[1:]] for cells in cells_of_rows}
+    of_candidates = [row for row in rows if re.match(r"\d+ °C  ", row)]
+    table = {}
+    for row in of_candidates:
+        name, *cells = re.split(r" {2,}", row)
+        table[name] = [cell.strip() for cell in cells]
+    return table
 
 
 def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement) -> None:

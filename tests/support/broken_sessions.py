@@ -79,7 +79,9 @@ def _swap(rng: random.Random, data: bytearray) -> None:
     last = len(data) // _BLOCK - 1
     a = rng.randrange(last) * _BLOCK
     b = rng.randrange(last) * _BLOCK
-    data[a : a + _BLOCK], data[b : b + _BLOCK] = data[b : b + _BLOCK], data[a : a + _BLOCK]
+    first = data[a : a + _BLOCK]
+    data[a : a + _BLOCK] = data[b : b + _BLOCK]
+    data[b : b + _BLOCK] = first
 
 
 def _remove(rng: random.Random, data: bytearray) -> None:
@@ -129,8 +131,9 @@ def samples_in(sound: bytes) -> Set[bytes]:
 def plainly_found(content: bytes, there: Set[bytes]) -> Set[bytes]:
     """Those of the sound samples that plain readers find in their order: chunk by chunk, from the beginning
     or by the index, without checking checksums. A sample among others of another time is not counted."""
-    by_both_ways = [list(_from_the_beginning(content)), list(_by_the_index(content))]
-    return max((_in_order([data for data in samples if data in there]) for samples in by_both_ways), key=len)
+    from_the_beginning = [data for data in _from_the_beginning(content) if data in there]
+    by_the_index = [data for data in _by_the_index(content) if data in there]
+    return max(_in_order(from_the_beginning), _in_order(by_the_index), key=len)
 
 
 def _in_order(messages: Sequence[bytes]) -> Set[bytes]:

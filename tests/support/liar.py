@@ -78,8 +78,9 @@ def scaled(factor: float, within: float) -> Lie:
 
 
 RATES = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
+DRIFTS = (*(-rate for rate in RATES), *RATES)
 LIES: dict[str, Lie] = {
-    **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in (*(-r for r in RATES), *RATES)},
+    **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in DRIFTS},
     **{f"slides off within {seconds:g} s": sliding_off(seconds) for seconds in (5.0, 20.0, 60.0)},
     "stuck at 20 °C": lambda _, __: 20.0,
     **{f"{seconds} s late": late(seconds) for seconds in (5, 10, 20, 60)},

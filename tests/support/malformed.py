@@ -12,7 +12,7 @@ import io
 import json
 import random
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -252,7 +252,12 @@ KINDS = ("laws", "memories", "candidates", "profiles", "maps", "fmu_maps", "sett
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
     """Every place in a tree, as its owner and its key there."""
-    for key in list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ():
+    keys: Iterable[Any] = ()
+    if isinstance(tree, dict):
+        keys = list(tree)
+    elif isinstance(tree, list):
+        keys = range(len(tree))
+    for key in keys:
         yield tree, key
         yield from _places(tree[key])
 

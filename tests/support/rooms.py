@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -85,6 +87,19 @@ def judged_room(seed: int, stores: int) -> str:
     return carry_out(MatchRequest(window.last, 20.0, window, SETTINGS.start, None), SETTINGS).match.reason
 
 
+_STATES: Final = {"floor": "slab", "walls": "shell"}
+"""The temperature of each store."""
+
+
+def _air_beside(*stores: str) -> Structure:
+    """Air with these stores, each with a capacity and a conductance to the air."""
+    free = ["store", "loss", "free"]
+    for store in stores:
+        free += [store, f"to_{store}"]
+    states = [_STATES[store] for store in stores]
+    return Structure(free=tuple(free), parts=frozenset(stores), free_starts=tuple(states))
+
+
 class StoredRoom(Plant, name="stored_room"):
     """Air, and beside it a heated floor, walls or both; what else heats the room is constant."""
 
@@ -104,15 +119,11 @@ class StoredRoom(Plant, name="stored_room"):
     walls = Parameter(unit="kWh/K", default=15.0, bounds=(1.0, 200.0), positive=True)
     to_walls = Parameter(unit="kW/K", default=0.6, bounds=(0.02, 10.0), positive=True)
     structures = {  # noqa: RUF012
-        name: Structure(
-            free=("store", "loss", "free", *(k for part in parts for k in (part, f"to_{part}"))),
-            parts=frozenset(parts),
-            free_starts=tuple({"floor": "slab", "walls": "shell"}[part] for part in parts),
-        )
-        for name, parts in {
-            "air": (), "floor": ("floor",), "walls": ("walls",), "floor and walls": ("floor", "walls")
-        }.items()
-    }  # fmt: skip
+        "air": _air_beside(),
+        "floor": _air_beside("floor"),
+        "walls": _air_beside("walls"),
+        "floor and walls": _air_beside("floor", "walls"),
+    }
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """Energy balances; a heated floor gets what heats."""

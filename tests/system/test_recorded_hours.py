@@ -249,7 +249,8 @@ def test_bands_hold_what_they_promise(hours: list[Hour]) -> None:
 
 @ALL_HOURS
 def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hour]) -> None:
-    gaps, apart = (np.concatenate([getattr(h, n) for h in hours]) for n in ("gaps", "apart"))
+    gaps = np.concatenate([hour.gaps for hour in hours])
+    apart = np.concatenate([hour.apart for hour in hours])
     assert spearmanr(gaps, apart).statistic >= 0.6
     assert gaps.max() < 0.9
 

@@ -251,10 +251,10 @@ def test_every_panel_has_its_place() -> None:
 def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) -> None:
     """Four are side by side, and more below."""
     two = description_of(TCLabBoth)
-    kinds = {
-        kind: tuple(replace(getattr(two, kind)[0], text=f"{kind} {k}") for k in range(loops))
-        for kind in ("references", "outputs", "inputs")
-    }
+    kinds = {}
+    for kind in ("references", "outputs", "inputs"):
+        (first, *_) = getattr(two, kind)
+        kinds[kind] = tuple(replace(first, text=f"{kind} {k}") for k in range(loops))
     arranged = layout(replace(two, **kinds))
     panels = arranged["configById"]
     places = arranged["layout"]

@@ -160,7 +160,9 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged:
     verdict = judged.verdicts[-1]
     name = "sink with mass, free ambient, free ripple, sensor lag"
     eight = tuple(replace(verdict.candidates[0], name=f"{name}, {k}") for k in range(8))
-    gaps = tuple(tuple(abs(i - j) / 10 for j in range(8)) for i in range(8))
+    places = np.arange(8.0)
+    distances = np.abs(places[:, None] - places) / 10
+    gaps = tuple(map(tuple, distances.tolist()))
     state = DashboardState()
     state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
     _, document = opened(state)

@@ -65,8 +65,9 @@ def test_clear_starts_over() -> None:
 
 def test_a_spike_of_one_sample_stays_as_high_as_it_was() -> None:
     history = RollingTable(("value",), 5000)
+    spikes = {1234: 100.0, 2345: -7.0}
     for k in range(4000):
-        history.push(k, (100.0 if k == 1234 else -7.0 if k == 2345 else 0.0,))
+        history.push(k, (spikes.get(k, 0.0),))
     columns, _ = history.since(0, stride=50)
     assert columns["value"].size == 160
     assert columns["value"].max() == 100.0

@@ -133,18 +133,22 @@ def test_criterion_tables_hold_the_verdict_and_the_best_is_bold(
                     assert ("best" in cell.classes) is (value == best)
 
 
+def texts_of(row: list[Element]) -> list[str]:
+    return [cell.text for cell in row]
+
+
 def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: SessionReport) -> None:
     tested = shipped.judged.tested
     tables = tables_of(page)
     for horizon in tested.horizons:
         cards = [card for card in tested.cards if card.horizon == horizon]
         rows = grid(tables[f"{horizon:g} s ahead, {cards[0].count} forecasts"])
-        assert [[cell.text for cell in row] for row in rows] == [
-            [text(c) for _, text in card_columns(Peltier)] for c in cards
-        ]
+        for row, card in zip(rows, cards, strict=True):
+            assert texts_of(row) == [text(card) for _, text in card_columns(Peltier)]
         best = [row[0].text for row in rows if "best" in row[1].classes]
         asked = [c for c in cards if c.who == LEADER or c.who not in TWINS]
-        assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
+        least = min(card.median for card in asked)
+        assert best == [card.who for card in asked if card.median == least]
     for line in backtest_words(tested):
         assert line in page.text
 
@@ -182,7 +186,7 @@ def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
     ):
         rows = grid(tables_of(page)[f"ν-gap between the {between}"])
         count = len(gaps)
-        shown = np.array([[float(c.text) for c in row[1 : count + 2]] for row in rows])
+        shown = np.array([texts_of(row[1 : count + 2]) for row in rows], dtype=float)
         np.testing.assert_allclose(shown, np.column_stack([gaps, expected_sums]), atol=5.1e-4)
         bold = [k for k, row in enumerate(rows) if "best" in row[count + 1].classes]
         assert bold == [int(np.argmin(expected_sums))]
@@ -192,10 +196,8 @@ def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipp
     nominal = shipped.nominal
     assert nominal is not None
     assert nominal.match is not None
-    rows = {
-        r[0].text: [c.text for c in r]
-        for r in grid(tables_of(page)[f"Parameters of the nominal twin, {nominal.score.name}"])
-    }
+    table = tables_of(page)[f"Parameters of the nominal twin, {nominal.score.name}"]
+    rows = {row[0].text: texts_of(row) for row in grid(table)}
     p = nominal.score.parameters
     assert rows["α"][2:4] == [f"{1000 * p['seebeck']:.1f}", "mV/K"]
     assert rows["R"][2:4] == ["3.30", "Ω"]
