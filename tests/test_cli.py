@@ -74,11 +74,13 @@ for command in (
 
 
 def test_commands_of_the_graph_say_that_they_need_ros() -> None:
-    done = subprocess.run([sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True)
+    completed = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True
+    )
     needs = "needs ROS 2: rclpy, diagnostic_msgs, twinmatch_msgs cannot be found; run make setup"
     programs = ("sampler", "rig", "matcher", "demo", "live", "play", "dashboard", "foxglove")
     programs += ("apply", "apply", "attach", "experiment", "experiment")
-    lines = done.stderr.splitlines()
+    lines = completed.stderr.splitlines()
     for command, line in zip(programs, lines, strict=True):
         assert line.startswith(f"twinmatch: {command} {needs}"), line
     assert lines[-3].endswith("; for a plant without ROS, give --source URL")
@@ -119,13 +121,15 @@ def test_a_command_without_its_extra_says_what_to_install(tmp_path: Path, small_
     (tmp_path / "map.yaml").write_text(json.dumps({"plant": "peltier", "structures": structures}))
     files = {"BAG": "bag.bag", "SESSION": str(small_session), "MAP": "map.yaml", "OUT": "results"}
     packages = sorted({package for package, _, _ in BEHIND_EXTRAS})
-    commands = [[files.get(word, word) for word in command] for _, command, _ in BEHIND_EXTRAS]
-    done = subprocess.run(
+    commands = []
+    for _, words, _ in BEHIND_EXTRAS:
+        commands.append([files.get(word, word) for word in words])
+    completed = subprocess.run(
         [sys.executable, "-c", WITHOUT_EXTRAS, json.dumps(packages), json.dumps(commands)],
         capture_output=True, text=True, check=True, cwd=tmp_path,
     )  # fmt: skip
-    assert done.stdout.split() == ["2"] * len(commands)
-    for (package, command, extra), line in zip(BEHIND_EXTRAS, done.stderr.splitlines(), strict=True):
+    assert completed.stdout.split() == ["2"] * len(commands)
+    for (package, command, extra), line in zip(BEHIND_EXTRAS, completed.stderr.splitlines(), strict=True):
         assert line.startswith("twinmatch: "), command
         assert package in line, command
         assert line.endswith(f"pip install 'twinmatch[{extra}]'"), (command, line)
@@ -164,8 +168,8 @@ class Replayed(NamedTuple):
 def replayed(tmp_path_factory: pytest.TempPathFactory) -> Replayed:
     out = tmp_path_factory.mktemp("replayed")
     files = out / "out.json", out / "verdict.png"
-    told = run_on_terminal("replay", SHIPPED, "--json", files[0], "--figure", files[1], width=160)
-    return Replayed(*told, *files)
+    run_of_replay = run_on_terminal("replay", SHIPPED, "--json", files[0], "--figure", files[1], width=160)
+    return Replayed(*run_of_replay, *files)
 
 
 def test_a_replay_gives_the_documented_json(replayed: Replayed) -> None:
@@ -253,11 +257,11 @@ def run_on_terminal(
     """
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, width, 0, 0))
-    kept = {k: v for k, v in os.environ.items() if k not in TERMINAL_VARIABLES}
+    inherited = {k: v for k, v in os.environ.items() if k not in TERMINAL_VARIABLES}
     process = fork_server().start(
         *("-m", "twinmatch.cli", *map(str, arguments)),
         output=theirs,
-        environment={**kept, "TERM": "xterm-256color", **environment},
+        environment={**inherited, "TERM": "xterm-256color", **environment},
     )
     os.close(theirs)
     written = b""
@@ -372,8 +376,8 @@ def test_a_pipe_gets_plain_lines_and_the_sentence_at_the_end(fault_session: Path
     leader = header.index("leader")
     assert all(len(line) > leader and line[leader - 2 : leader] == "  " for line, _ in verdicts)
     assert all(below.startswith(" " * header.index("level")) for _, below in verdicts)
-    told, reason = next((line, below) for line, below in verdicts if " fault " in line)
-    assert 640 <= int(told.split()[0]) < 660  # at once, not at the next trigger
+    alarm_line, reason = next((line, below) for line, below in verdicts if " fault " in line)
+    assert 640 <= int(alarm_line.split()[0]) < 660  # at once, not at the next trigger
     assert reason.lstrip().startswith("drive-lost: ")
     assert len({line.split()[0] for line, _ in verdicts}) == len(verdicts)
     *_, summed_up, nominal, certainty = lines
@@ -411,15 +415,15 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code(tmp_path: Path) -> None
 def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Path) -> None:
     """In every command that judges: they all do it here."""
     session = open_any(small_session)
-    seen: list[int] = []
+    judged_indices: list[int] = []
 
     def told(_twin: Twin, sample: Sample, _outcome: Outcome) -> None:
         signal.raise_signal(signal.SIGINT)
-        seen.append(sample.index)
+        judged_indices.append(sample.index)
 
     with pytest.raises(KeyboardInterrupt):
         judge(session, terms_from_files(session), beside=told)
-    assert seen == [0]
+    assert judged_indices == [0]
 
 
 def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> None:
@@ -460,8 +464,8 @@ def session(samples: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> 
 
 def asked(session: Path, out: Path, *options: object) -> list[dict[str, Any]]:
     assert main(["forecast", str(session), "--json", str(out), *map(str, options)]) == 0
-    found: list[dict[str, Any]] = json.loads(out.read_text(encoding="utf-8"))
-    return found
+    forecasts: list[dict[str, Any]] = json.loads(out.read_text(encoding="utf-8"))
+    return forecasts
 
 
 @pytest.fixture(scope="module")
@@ -472,60 +476,62 @@ def in_a_transient(session: Path, tmp_path_factory: pytest.TempPathFactory) -> l
 
 
 def test_the_json_is_a_list_in_the_order_that_was_asked_for(in_a_transient: list[dict[str, Any]]) -> None:
-    found = in_a_transient
-    assert [f["sample"] for f in found] == [AT, 500, AT]
-    assert found[0] == found[2]
-    for one in found:
-        assert set(one) == {
+    forecasts = in_a_transient
+    assert [f["sample"] for f in forecasts] == [AT, 500, AT]
+    assert forecasts[0] == forecasts[2]
+    for forecast in forecasts:
+        assert set(forecast) == {
             *("sample", "candidate", "structure", "confidence", "t", "y", "u", "reference", "notes"),
         }
-        assert one["confidence"] == 0.9
-        assert one["t"] == [float(k) for k in range(1, 61)]
+        assert forecast["confidence"] == 0.9
+        assert forecast["t"] == [float(k) for k in range(1, 61)]
         for name in ("y", "u"):
-            assert set(one[name]) == {"mean", "low", "high"}
-            low, mean, high = (np.array(one[name][edge]) for edge in ("low", "mean", "high"))
+            assert set(forecast[name]) == {"mean", "low", "high"}
+            low, mean, high = (np.array(forecast[name][edge]) for edge in ("low", "mean", "high"))
             assert low.size == 60
             assert np.all(low <= mean)
             assert np.all(mean <= high)
-    assert found[1]["reference"] == [60.0] * 60  # held as it was
-    assert found[0]["reference"] == [45.0] * 60
+    assert forecasts[1]["reference"] == [60.0] * 60  # held as it was
+    assert forecasts[0]["reference"] == [45.0] * 60
 
 
 def test_the_recorded_set_points_are_all_it_knows(
     samples: list[Sample], session: Path, tmp_path: Path
 ) -> None:
-    told = asked(session, tmp_path / "told.json", "--at", 600, "--reference", "recorded", "--horizon", 120)[0]
-    assert told["reference"] == [60.0] * 59 + [45.0] * 61
+    with_recorded = asked(
+        session, tmp_path / "told.json", "--at", 600, "--reference", "recorded", "--horizon", 120
+    )[0]
+    assert with_recorded["reference"] == [60.0] * 59 + [45.0] * 61
     rows = "\n".join(f"{k - 600},{samples[k].reference}" for k in range(601, 721))
     (tmp_path / "ahead.csv").write_text(f"time,set-point\n{rows}\n", encoding="utf-8")
     cut = write_session(tmp_path / "cut", samples[:601])
     alone = asked(
         cut, tmp_path / "cut.json", "--at", 600, "--reference", tmp_path / "ahead.csv", "--horizon", 120
     )[0]
-    assert alone == told  # JSON gives every float64 back
+    assert alone == with_recorded  # JSON gives every float64 back
 
 
 def test_recorded_set_points_end_with_the_session(samples: list[Sample], tmp_path: Path) -> None:
     short = write_session(tmp_path / "short", samples[:420])
-    found = asked(short, tmp_path / "out.json", "--at", 400, "--reference", "recorded")[0]
-    assert len(found["t"]) == 19
-    assert "shortened to 19 s: the session ends there" in found["notes"]
+    forecast = asked(short, tmp_path / "out.json", "--at", 400, "--reference", "recorded")[0]
+    assert len(forecast["t"]) == 19
+    assert "shortened to 19 s: the session ends there" in forecast["notes"]
 
 
 def test_another_candidate_may_be_asked(
     session: Path, in_a_transient: list[dict[str, Any]], tmp_path: Path, capsys: Any
 ) -> None:
     leader = in_a_transient[0]
-    found = asked(session, tmp_path / "b.json", "--at", AT, "--candidate", "60 °C", "--horizon", 20)[0]
-    assert leader["candidate"] != found["candidate"] == "60 °C"
+    of_second = asked(session, tmp_path / "b.json", "--at", AT, "--candidate", "60 °C", "--horizon", 20)[0]
+    assert leader["candidate"] != of_second["candidate"] == "60 °C"
     assert f"the leader is {leader['candidate']}" in capsys.readouterr().out
 
 
 def test_what_was_never_visited_is_noted(
     session: Path, in_a_transient: list[dict[str, Any]], tmp_path: Path, capsys: Any
 ) -> None:
-    found = asked(session, tmp_path / "out.json", "--at", AT, "--hold", 88)[0]
-    assert any("was visited" in note for note in found["notes"])
+    forecast = asked(session, tmp_path / "out.json", "--at", AT, "--hold", 88)[0]
+    assert any("was visited" in note for note in forecast["notes"])
     assert "Note: the forecast covers " in capsys.readouterr().out
     assert not in_a_transient[0]["notes"], "45 °C lie among those that were visited"
 
@@ -533,7 +539,7 @@ def test_what_was_never_visited_is_noted(
 def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsys: Any) -> None:
     picture = tmp_path / "fan.png"
     assert main(["forecast", str(session), "--at", "500", "--hold", "80", "--figure", str(picture)]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in (
         "At 500 s (sample 500), 80 °C held:",
         "forecasts 300 s; the leader (confidence 0.",
@@ -545,8 +551,8 @@ def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsy
         "at 300 s",
         "The leader is the candidate to forecast with",
     ):
-        assert words in said
-    assert "compared with" not in said  # the session continued under other set-points
+        assert words in printed
+    assert "compared with" not in printed  # the session continued under other set-points
     assert drawn(picture) > 0.01
 
 
@@ -560,14 +566,16 @@ def test_it_is_compared_with_the_measurements(session: Path, capsys: Any) -> Non
 
 def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> None:
     """Its generator is the paper's plant with a camera's noise, so the bands have every chance to hold it."""
-    at = list(range(450, 1650, 100))
+    asked_samples = list(range(450, 1650, 100))
     samples = {s.index: s for s in read_session(SHIPPED).samples}
-    held = []
-    for one in asked(SHIPPED, tmp_path / "out.json", "--reference", "recorded", "--at", *at):
-        came = np.array([samples[one["sample"] + k + 1].output for k in range(len(one["t"]))])
-        held.append(np.mean((np.array(one["y"]["low"]) <= came) & (came <= np.array(one["y"]["high"]))))
+    held_shares = []
+    for forecast in asked(SHIPPED, tmp_path / "out.json", "--reference", "recorded", "--at", *asked_samples):
+        came = np.array([samples[forecast["sample"] + k + 1].output for k in range(len(forecast["t"]))])
+        held_shares.append(
+            np.mean((np.array(forecast["y"]["low"]) <= came) & (came <= np.array(forecast["y"]["high"])))
+        )
     # Twelve forecasts of 300 readings, 90 % of them promised; neighbours share readings and a twin.
-    assert 0.8 < np.mean(held) < 0.98
+    assert 0.8 < np.mean(held_shares) < 0.98
 
 
 def test_sigterm_interrupts_the_start_of_a_run_as_ctrl_c_does(
@@ -575,17 +583,17 @@ def test_sigterm_interrupts_the_start_of_a_run_as_ctrl_c_does(
 ) -> None:
     """So that what has been started ends with it."""
     pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-    left: list[str] = []
+    ended: list[str] = []
 
     def starting(_: object) -> int:
         try:
             signal.raise_signal(signal.SIGTERM)
         finally:
-            left.append("what was started")
+            ended.append("what was started")
         return 0
 
     starting.__module__ = "twinmatch.cli.play"
     monkeypatch.setattr("twinmatch.cli.play.run", starting)
     assert main(["play", str(SHIPPED)]) == 130
-    assert left == ["what was started"]
+    assert ended == ["what was started"]
     assert capsys.readouterr().err == "twinmatch: interrupted\n"

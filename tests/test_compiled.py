@@ -147,8 +147,8 @@ def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
     moved += [] if "_shared_module" in vars(library) else ["CPUCodeLibrary._shared_module"]
     for place, parameters in INSIDES.items():
         module, _, name = place.partition(":")
-        found = _inside(importlib.import_module(f"numba.core.{module}"), name)
-        if found is None or (parameters is not None and tuple(_parameters(found)) != parameters):
+        inside = _inside(importlib.import_module(f"numba.core.{module}"), name)
+        if inside is None or (parameters is not None and tuple(_parameters(inside)) != parameters):
             moved.append(place)
     assert not moved, f"numba {numba.__version__} moved what src/twinmatch/compiled.py uses"
 
@@ -186,9 +186,9 @@ def test_whatever_a_kernel_is_made_from_is_compiled_again(tmp_path: Path) -> Non
     write(tmp_path)
     assert run(tmp_path) == "7.0 compiled"
     assert run(tmp_path) == "7.0 kept"
-    for what, (file, old, new, value) in CHANGES.items():
+    for change_name, (file, old, new, value) in CHANGES.items():
         change(tmp_path / file, old, new)
-        assert run(tmp_path) == f"{value} compiled", what
+        assert run(tmp_path) == f"{value} compiled", change_name
     assert run(tmp_path) == "515.0 kept"
 
 

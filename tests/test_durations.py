@@ -36,9 +36,9 @@ def test_what_a_test_took_is_kept(tmp_path: Path) -> None:
     costs.add("a.py::first", Cost(0.5, 0.25))
     costs.add("b.py::other", Cost(4.0, 0.1))
     costs.write(tmp_path / "folder" / "took.json")
-    kept = Costs.read(tmp_path / "folder" / "took.json")
-    assert kept.by_test == costs.by_test
-    assert list(kept.by_file().items()) == [("b.py", Cost(4.0, 0.1)), ("a.py", Cost(1.5, 0.75))]
+    read_back = Costs.read(tmp_path / "folder" / "took.json")
+    assert read_back.by_test == costs.by_test
+    assert list(read_back.by_file().items()) == [("b.py", Cost(4.0, 0.1)), ("a.py", Cost(1.5, 0.75))]
     assert Costs.read(tmp_path / "none.json").by_test == {}
     part = Costs()
     part.add("b.py::other", Cost(3.0, 0.2))
@@ -50,13 +50,13 @@ def test_what_a_test_took_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize("machine", [1.0, 3.0])
 def test_growth_is_seen_on_a_machine_of_any_speed(machine: float) -> None:
     stored = {f"{name}.py": Cost(computed=10.0) for name in "abcdefgh"}
-    now = {name: Cost(computed=10.0 * machine) for name in stored}
-    assert files_that_grew(stored, now) == []
-    assert files_that_grew({}, now) == []
-    now["c.py"] = Cost(computed=20.0 * machine)
-    now["new.py"] = Cost(computed=5.0)
-    now["new_and_quick.py"] = Cost(computed=0.5)
-    assert files_that_grew(stored, now) == [
+    measured = {name: Cost(computed=10.0 * machine) for name in stored}
+    assert files_that_grew(stored, measured) == []
+    assert files_that_grew({}, measured) == []
+    measured["c.py"] = Cost(computed=20.0 * machine)
+    measured["new.py"] = Cost(computed=5.0)
+    measured["new_and_quick.py"] = Cost(computed=0.5)
+    assert files_that_grew(stored, measured) == [
         f"c.py: {20 * machine:.1f} s of the processors ({10 * machine:.1f} s)",
         "new.py: 5.0 s of the processors (new)",
     ]

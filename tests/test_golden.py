@@ -21,8 +21,8 @@ def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
     Those of the rig's hours are compared in `system/test_recorded_hours.py`, which judges them too.
     """
     try:
-        found = entry_of(name, tmp_path)
+        entry = entry_of(name, tmp_path)
     except MissingSourceError as error:
         pytest.skip(str(error))
-    different, compared = compare(name, found)
+    different, compared = compare(name, entry)
     assert not different, f"compared: {compared}"

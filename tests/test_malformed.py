@@ -20,11 +20,11 @@ def test_malformed_documents_are_refused_or_read(kind: str, tmp_path: Path) -> N
     """`python -m benchmarks.malformed` reads a thousand of each kind."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of numbers near the largest
-        found = list(readings(kind, DOCUMENTS, 11, tmp_path))
-    bugs = [reading.bug for reading in found if reading.bug is not None]
+        results = list(readings(kind, DOCUMENTS, 11, tmp_path))
+    bugs = [reading.bug for reading in results if reading.bug is not None]
     if bugs:
         raise bugs[0]
-    assert sum(not reading.accepted for reading in found) > 0
+    assert sum(not reading.accepted for reading in results) > 0
 
 
 @pytest.mark.parametrize(
@@ -59,9 +59,9 @@ def test_a_title_is_split_in_one_way(tmp_path: Path) -> None:
     assert split_title("flow [m³/(s·m)]") == ("flow", "m³/(s·m)")
     assert split_title("( " * 200 + "x" + " " * 400) == (("( " * 200 + "x"), "")
     path = tmp_path / "wide.csv"
-    path.write_text(
-        "\n".join(",".join("1" if k else f"c{n}" for n in range(MAX_COLUMNS + 1)) for k in range(4))
-    )
+    titles = ",".join(f"c{number}" for number in range(MAX_COLUMNS + 1))
+    row = ",".join(["1"] * (MAX_COLUMNS + 1))
+    path.write_text("\n".join([titles, row, row, row]))
     with pytest.raises(
         RecordingError, match=r"has 2001 columns, more than 2000; give each sample its own row"
     ):

@@ -37,6 +37,6 @@ def test_a_replay_uses_no_kernel_that_was_not_prepared(tmp_path: Path) -> None:
     script = tmp_path / "use.py"
     script.write_text(USE)
     words = (sys.executable, script, SHIPPED)
-    done = Process(*words, output=tmp_path / "said.txt", forked=True)
-    assert done.wait() == 0, done.text
-    assert done.lines[-1] == "the same"
+    process = Process(*words, output=tmp_path / "said.txt", forked=True)
+    assert process.wait() == 0, process.text
+    assert process.lines[-1] == "the same"

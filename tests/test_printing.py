@@ -35,8 +35,8 @@ def test_what_controls_a_terminal_is_escaped_and_nothing_else() -> None:
         odd = unicodedata.category(letter) in {"Cc", "Cs", "Zl", "Zp"} and letter not in "\n\t"
         assert odd <= (printable(letter) != letter), hex(code)
         assert printable(letter).isascii() or printable(letter) == letter
-    kept = "60 °C · ν-gap ▶ ○ → “words” −1 000 ²³⁸ é\n\t日本語"
-    assert printable(kept) == kept
+    harmless = "60 °C · ν-gap ▶ ○ → “words” −1 000 ²³⁸ é\n\t日本語"
+    assert printable(harmless) == harmless
     assert printable(EVIL) == ESCAPED
     assert one_line("a\nb") == r"a\nb"
 
@@ -79,10 +79,10 @@ def test_a_table_and_a_view_have_the_consoles_own_control_sequences_alone() -> N
 def test_a_verdicts_texts_stay_in_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
     with printable_output():
         Lines().take_verdict(replace(LED, leader=f"a\n{EVIL}", reason=f"b\n{EVIL}"))
-    told = capsys.readouterr().out
-    assert told.count("\n") == 2
-    assert told.count(r"\x1b]0;owned") == 2
-    assert "\x1b" not in told
+    printed = capsys.readouterr().out
+    assert printed.count("\n") == 2
+    assert printed.count(r"\x1b]0;owned") == 2
+    assert "\x1b" not in printed
 
 
 def test_names_in_a_foreign_bag_are_listed_escaped(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_names_in_a_foreign_bag_are_listed_escaped(tmp_path: Path) -> None:
         for k in range(5):
             writer.write(name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9)
     for words in ((tmp_path / "bag", "--list"), (tmp_path / TITLE, "--list")):
-        done = run_twinmatch("import", *words)
-        printed = done.stdout + done.stderr
+        completed = run_twinmatch("import", *words)
+        printed = completed.stdout + completed.stderr
         assert r"\x1b]0;owned" in printed
         assert not {"\x1b", "\x07"} & set(printed)

@@ -53,9 +53,9 @@ def with_value(row: int, column: int, value: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sessions, recordings and files of parameters, candidates and set-points, most of them unusable."""
-    made = tmp_path_factory.mktemp("mistakes")
+    directory = tmp_path_factory.mktemp("mistakes")
     for name, text in TEXTS.items():
-        (made / name).write_text(text, encoding="utf-8")
+        (directory / name).write_text(text, encoding="utf-8")
     for name, values in {
         "good": table(),
         "columns": np.zeros((5, 3)),
@@ -63,17 +63,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "gap": np.delete(table(), 9, axis=0),
         "range": with_value(3, 0, 300.0),
     }.items():
-        scipy.io.savemat(made / f"{name}.mat", {"simout": values})
-    (made / "noise.mat").write_bytes(np.random.default_rng(3).bytes(5000))
-    (made / "torn.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(range(256)) * 4)
-    (made / "shipped").symlink_to(SHIPPED)
+        scipy.io.savemat(directory / f"{name}.mat", {"simout": values})
+    (directory / "noise.mat").write_bytes(np.random.default_rng(3).bytes(5000))
+    (directory / "torn.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(range(256)) * 4)
+    (directory / "shipped").symlink_to(SHIPPED)
     reference = np.repeat([30.0, 50.0], 45)
-    write_session(made / "small", samples_of(Window(reference, reference, reference / 2)))
-    write_session(made / "quarter", quarter_of_an_hour())
-    with SessionWriter(made / "elsewhere") as writer:
+    write_session(directory / "small", samples_of(Window(reference, reference, reference / 2)))
+    write_session(directory / "quarter", quarter_of_an_hour())
+    with SessionWriter(directory / "elsewhere") as writer:
         writer.add_topic(REFERENCE._replace(name="/somewhere/else"))
         writer.write("/somewhere/else", encode_float64(1.0), 10**9)
-    return made
+    return directory
 
 
 @pytest.mark.parametrize(
@@ -140,12 +140,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(command: str, words: list[str], folder: Path) -> None:
     before = set(folder.iterdir())
-    done = run_twinmatch(*shlex.split(command), folder=folder)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("twinmatch: ")
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert all(word.lower() in done.stderr.lower() for word in words), done.stderr
+    completed = run_twinmatch(*shlex.split(command), folder=folder)
+    assert completed.returncode == 2
+    assert completed.stdout == ""
+    assert completed.stderr.startswith("twinmatch: ")
+    assert len(completed.stderr.strip().splitlines()) == 1, completed.stderr
+    assert all(word.lower() in completed.stderr.lower() for word in words), completed.stderr
     assert set(folder.iterdir()) == before
 
 
@@ -161,7 +161,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(command: str, words: list[str]
     ],
 )
 def test_options_that_mean_nothing_are_refused(command: str, words: str, folder: Path) -> None:
-    done = run_twinmatch(*shlex.split(command), folder=folder)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = run_twinmatch(*shlex.split(command), folder=folder)
+    assert completed.returncode == 2
+    assert words in completed.stderr
+    assert "Traceback" not in completed.stderr

@@ -105,9 +105,9 @@ def test_what_is_not_a_window_is_refused(make: object, message: str) -> None:
 
 @given(st.lists(st.integers(1, 3), max_size=30))
 def test_unbroken_stretches_are_whole_and_all(steps: list[int]) -> None:
-    taken = samples(*np.cumsum(steps, dtype=int).tolist())
-    stretches = unbroken(taken)
-    assert [s for stretch in stretches for s in stretch] == taken
+    consecutive = samples(*np.cumsum(steps, dtype=int).tolist())
+    stretches = unbroken(consecutive)
+    assert [s for stretch in stretches for s in stretch] == consecutive
     assert len(stretches) == (1 + sum(k > 1 for k in steps[1:]) if steps else 0)
     for stretch in stretches:
         Window.from_samples(stretch)
@@ -125,11 +125,11 @@ def recorded(draw: st.DrawFn) -> tuple[list[Sample], float, int]:
     begin = draw(st.integers(0, 10**18))
     row = st.tuples(*(st.tuples(*[VALUES] * width) for width in shape))
     rows = draw(st.lists(st.tuples(row, st.booleans()), min_size=1, max_size=20))
-    taken = [
-        Sample(index, begin + round(index * period * 1e9), *values, seen=seen)
-        for index, (values, seen) in enumerate(rows, start=first)
+    run = [
+        Sample(index, begin + round(index * period * 1e9), *values, seen=is_seen)
+        for index, (values, is_seen) in enumerate(rows, start=first)
     ]
-    return taken, period, begin
+    return run, period, begin
 
 
 @given(recorded(), st.data())
@@ -137,31 +137,31 @@ def test_a_stretch_that_is_taken_apart_and_joined_has_lost_nothing(
     stretch: tuple[list[Sample], float, int], data: st.DataObject
 ) -> None:
     """Values, marks, period, indices and stamps, wherever it is cut and however the parts overlap."""
-    taken, period, begin = stretch
-    whole = Window.from_samples(taken, period)
+    run, period, begin = stretch
+    whole = Window.from_samples(run, period)
     parts = []
-    first = taken[0].index
-    assert whole.lost == [s.index for s in taken if not s.seen]
+    first = run[0].index
+    assert whole.lost == [s.index for s in run if not s.seen]
     while first <= whole.last:
         last = data.draw(st.integers(first, whole.last))
         parts.append(whole.part(data.draw(st.integers(whole.first, first)), last))
         first = last + 1
-    again = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
+    rejoined = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
     for field in fields(Window):
-        np.testing.assert_array_equal(getattr(again, field.name), getattr(whole, field.name))
-    assert again.samples(begin) == taken
-    assert joined(part.samples(begin) for part in parts) == taken[parts[0].first - whole.first :]
+        np.testing.assert_array_equal(getattr(rejoined, field.name), getattr(whole, field.name))
+    assert rejoined.samples(begin) == run
+    assert joined(part.samples(begin) for part in parts) == run[parts[0].first - whole.first :]
 
 
 @given(recorded(), st.sets(st.integers(0, 19)))
 def test_stretches_between_gaps_hold_every_sample(
     stretch: tuple[list[Sample], float, int], gaps: set[int]
 ) -> None:
-    taken, period, begin = stretch
-    rest = [s for k, s in enumerate(taken) if k not in gaps]
-    found = stretches(rest, period)
-    assert [s for window in found for s in window.samples(begin)] == rest
-    assert all(after.first > before.last + 1 for before, after in pairwise(found))
+    run, period, begin = stretch
+    remaining = [s for k, s in enumerate(run) if k not in gaps]
+    windows = stretches(remaining, period)
+    assert [s for window in windows for s in window.samples(begin)] == remaining
+    assert all(after.first > before.last + 1 for before, after in pairwise(windows))
 
 
 @given(recorded(), st.sets(st.integers(0, 19)), st.lists(st.tuples(st.integers(0, 20), st.integers(0, 3))))
@@ -169,13 +169,13 @@ def test_a_run_in_pieces_is_the_run(
     run: tuple[list[Sample], float, int], gaps: set[int], cuts: list[tuple[int, int]]
 ) -> None:
     """Wherever it is cut, however the pieces overlap, and wherever samples are missing."""
-    taken = [sample for k, sample in enumerate(run[0]) if k not in gaps]
+    remaining = [sample for k, sample in enumerate(run[0]) if k not in gaps]
     ends = sorted(cut for cut, _ in cuts)
     begins = [max(0, end - overlap) for end, (_, overlap) in zip(ends, cuts, strict=True)]
-    pieces = [taken[a:b] for a, b in zip([0, *begins], [*ends, len(taken)], strict=True)]
-    assert joined(pieces) == taken
-    of_another_plant = [replace(sample, disturbances=(0.0,) * 9) for sample in taken]
-    assert joined([*pieces, of_another_plant]) == taken
+    pieces = [remaining[a:b] for a, b in zip([0, *begins], [*ends, len(remaining)], strict=True)]
+    assert joined(pieces) == remaining
+    of_another_plant = [replace(sample, disturbances=(0.0,) * 9) for sample in remaining]
+    assert joined([*pieces, of_another_plant]) == remaining
 
 
 def test_what_continues_and_what_follows_a_sample() -> None:
@@ -225,10 +225,10 @@ def test_what_measures_something_else_is_refused(given_unit: str, wanted: str) -
     st.floats(-1e4, 1e4),
 )
 def test_there_and_back_is_the_same(units: tuple[str, str], value: float) -> None:
-    there = conversion(*units)
+    forward = conversion(*units)
     back = conversion(units[1], units[0])
-    again = (value * there.scale + there.offset) * back.scale + back.offset
-    assert again == pytest.approx(value, rel=1e-9, abs=1e-6)
+    round_trip = (value * forward.scale + forward.offset) * back.scale + back.offset
+    assert round_trip == pytest.approx(value, rel=1e-9, abs=1e-6)
 
 
 def test_what_a_unit_measures() -> None:
@@ -250,8 +250,8 @@ def test_what_a_unit_measures() -> None:
 
 def test_an_error_counts_in_the_unit_of_its_signal() -> None:
     """Two signals, off by 3 and 4 of their units: each alone, then both together."""
-    off = np.array([[3.0, -3.0], [400.0, 400.0]])
+    errors = np.array([[3.0, -3.0], [400.0, 400.0]])
     unit = np.array([[1.0], [100.0]])
-    assert rms(off, unit).tolist() == [3.0, 4.0]
-    assert rms(rms(off, unit)) == pytest.approx(np.sqrt(12.5))
-    assert rms(off, axis=0).tolist() == pytest.approx(np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist())
+    assert rms(errors, unit).tolist() == [3.0, 4.0]
+    assert rms(rms(errors, unit)) == pytest.approx(np.sqrt(12.5))
+    assert rms(errors, axis=0).tolist() == pytest.approx(np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist())

@@ -116,11 +116,11 @@ def test_a_plant_that_has_nothing_special_is_what_its_file_says(name: str) -> No
         truth.append(plant.output)
         samples.append(sample)
     model = kind.plant.model(STRUCTURES[name])
-    known = {RENAMED.get(n, n): v for n, v in plant.parameters.items()}
-    known = {n: v for n, v in known.items() if n in model.declared}
+    true_parameters = {RENAMED.get(n, n): v for n, v in plant.parameters.items()}
+    true_parameters = {n: v for n, v in true_parameters.items() if n in model.declared}
     if "ambient" in model.declared:
-        known["ambient"] = plant.room + KELVIN
-    twin = model.parameters(**known)
+        true_parameters["ambient"] = plant.room + KELVIN
+    twin = model.parameters(**true_parameters)
     rows = np.full((600, 1), plant.room) if name == "incubator" else None
     inputs = np.array([sample.input for sample in samples])
     run = simulate_driven(twin, inputs, states=begin(twin, truth[0]), period=kind.period, disturbances=rows)
@@ -134,9 +134,9 @@ def test_the_loop_reacts_to_what_a_faulty_sensor_shows() -> None:
     whole = AbroadPlant(kind, 4, (), closed=True)
     lied = AbroadPlant(kind, 4, (), closed=True, mishap=Mishap("reading+5", 600, 900))
     list(whole.run(900))
-    told = list(lied.run(900))
+    lied_samples = list(lied.run(900))
     assert whole.output - lied.output == pytest.approx(5.0, abs=0.7)
-    assert abs(told[-1].output - whole.output) < 0.7
+    assert abs(lied_samples[-1].output - whole.output) < 0.7
 
 
 def test_the_benchmark_prints_a_row_for_a_kind(

@@ -20,8 +20,8 @@ WITHIN = 3.0
 
 @pytest.fixture(scope="module")
 def there(ros: None) -> Iterator[World]:  # noqa: ARG001
-    with world() as made:
-        yield made
+    with world() as opened_world:
+        yield opened_world
 
 
 @pytest.mark.parametrize("kind", ["controller", "sampler of Modbus", "alone, Modbus"])

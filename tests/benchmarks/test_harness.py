@@ -32,14 +32,14 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_replay_is_measured_and_written_down(tmp_path: Path) -> None:
-    done = run("--quick", "replay", "--json", tmp_path / "out.json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "out.json").read_text())
-    assert {"processor", "load", "python", "numpy"} <= set(found["environment"])
-    cases = {row["case"]: row for row in found["rows"] if row["program"] == "twinmatch"}
+    completed = run("--quick", "replay", "--json", tmp_path / "out.json")
+    assert completed.returncode == 0, completed.stderr
+    report = json.loads((tmp_path / "out.json").read_text())
+    assert {"processor", "load", "python", "numpy"} <= set(report["environment"])
+    cases = {row["case"]: row for row in report["rows"] if row["program"] == "twinmatch"}
     assert all(row["benchmark"] == "replay" and row["seconds"] > 0 for row in cases.values())
     assert "8 candidates × 4 orders × 2 outputs" in cases
-    assert all(case in done.stdout for case in cases)
+    assert all(case in completed.stdout for case in cases)
 
 
 def test_every_benchmark_can_be_listed_and_others_are_refused() -> None:

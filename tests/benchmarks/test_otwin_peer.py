@@ -39,7 +39,10 @@ def test_without_otwin_it_refuses_in_one_sentence(
 
 
 def test_a_recording_that_is_absent_is_skipped(otwin_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    absent = [replace(of, path=Path("nowhere") / of.path.name) for of in otwin_peer.recordings()]
+    absent = [
+        replace(recording, path=Path("nowhere") / recording.path.name)
+        for recording in otwin_peer.recordings()
+    ]
     monkeypatch.setattr(otwin_peer, "recordings", lambda: absent)
     monkeypatch.setattr(otwin_peer, "peer", lambda _: otwin_peer)
     rows = otwin_peer.run(quick=False)
@@ -55,10 +58,10 @@ def heated_kit(noise: float) -> tuple[FloatArray, FloatArray]:
     for u in inputs:
         readings.append(sensor - KELVIN)
         for _ in range(50):
-            passed = 0.0075 * (heater - sensor)
+            conducted = 0.0075 * (heater - sensor)
             radiated = 0.9 * 5.67e-8 * 10e-4 * (heater**4 - room**4)
-            heater += 0.02 * (0.01 * u - 0.005 * (heater - room) - passed - radiated) / 2.5
-            sensor += 0.02 * passed / 0.1
+            heater += 0.02 * (0.01 * u - 0.005 * (heater - room) - conducted - radiated) / 2.5
+            sensor += 0.02 * conducted / 0.1
     return inputs, np.array(readings) + noise * np.random.default_rng(3).normal(size=inputs.size)
 
 
@@ -67,8 +70,12 @@ def test_otwin_forecasts_a_plant_that_is_its_network(otwin_peer: Any) -> None:
     pytest.importorskip("otwin", reason="otwin is a peer that only `make bench` installs")
     inputs, readings = heated_kit(0.05)
     window = Window(readings, readings, inputs, period=1.0, disturbances=np.zeros((600, 1)))
-    of = next(each for each in otwin_peer.recordings() if each.title == "one heater")
-    forecast = otwin_peer.OtwinTwin(of, window).forecast(399, 200)
+    recording = next(candidate for candidate in otwin_peer.recordings() if candidate.title == "one heater")
+    forecast = otwin_peer.OtwinTwin(recording, window).forecast(399, 200)
     assert np.sqrt(np.mean(np.square(forecast - readings[400:]))) < 2 * TCLab.outputs["temperature"].noise
-    held = [made for made in otwin_peer.forecasts_of(of, window) if made.sample == 399]
-    assert np.all(held[0].output.low < held[0].output.mean)
+    at_sample = [
+        past_forecast
+        for past_forecast in otwin_peer.forecasts_of(recording, window)
+        if past_forecast.sample == 399
+    ]
+    assert np.all(at_sample[0].output.low < at_sample[0].output.mean)

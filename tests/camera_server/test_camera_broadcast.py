@@ -113,11 +113,11 @@ def test_a_client_that_does_not_read_is_dropped_and_the_others_are_not(
         broadcast.publish(message(1))
         exactly(awake, SIZE)
     asleep.settimeout(PATIENCE)
-    taken = 0
+    received = 0
     while piece := asleep.recv(65_536):
-        taken += len(piece)
+        received += len(piece)
     # What had fitted into the buffers of the kernel, and then the end.
-    assert taken < FULL * SIZE
+    assert received < FULL * SIZE
     asleep.close()
     awake.close()
 
@@ -236,9 +236,9 @@ def test_of_several_lines_the_newest_counts(pipe: tuple[int, BinaryIO]) -> None:
     leader.write(b"0 20 0\n1 30 0\n2 4")
     assert source.read(5.0) is not None
     leader.write(b"0 0\n")
-    seen = source.read(5.0)
-    assert seen is not None
-    assert seen.flat_field_age == 1000  # the first line that counted had the time 1
+    exposure = source.read(5.0)
+    assert exposure is not None
+    assert exposure.flat_field_age == 1000  # the first line that counted had the time 1
 
 
 @pytest.mark.parametrize(

@@ -124,9 +124,9 @@ def test_it_begins_with_a_correction_an_image_of_nothing_but_ambient_and_a_cold_
 
 
 def test_same_seed_same_image_however_often_the_camera_was_asked_before() -> None:
-    one, other = (film(EmulatedLepton(seed=seed), 40.0, 23 / 9)[-1].image for seed in (1, 2))
-    assert np.array_equal(one, EmulatedLepton(seed=1).expose(40.0, 2.5, 0).image)
-    assert not np.array_equal(one, other)
+    first, second = (film(EmulatedLepton(seed=seed), 40.0, 23 / 9)[-1].image for seed in (1, 2))
+    assert np.array_equal(first, EmulatedLepton(seed=1).expose(40.0, 2.5, 0).image)
+    assert not np.array_equal(first, second)
 
 
 def test_an_impossible_temperature_and_time_that_goes_back() -> None:
@@ -194,9 +194,9 @@ def test_a_camera_that_does_not_read_is_not_waited_for(path: Path) -> None:
 
 
 def test_the_socket_of_a_killed_camera_is_replaced(path: Path) -> None:
-    left = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    left.bind(str(path))
-    left.close()
+    abandoned = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    abandoned.bind(str(path))
+    abandoned.close()
     PlateReceiver(path).close()
 
 

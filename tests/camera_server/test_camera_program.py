@@ -28,9 +28,9 @@ def next_news(client: ThermalClient) -> Received:
         news = client.news()
         return news if news is not before else None
 
-    found = wait_for(another, lambda: str(client.status))
-    assert found is not None
-    return found
+    news_after = wait_for(another, lambda: str(client.status))
+    assert news_after is not None
+    return news_after
 
 
 def test_a_plate_at_one_temperature(camera: Callable[..., CameraProgram]) -> None:
@@ -91,8 +91,8 @@ def test_this_computer_only_by_default(camera: Callable[..., CameraProgram]) -> 
 
 
 def test_a_taken_port(camera: Callable[..., CameraProgram]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        address = f"127.0.0.1:{listening.getsockname()[1]}"
         server = camera("emulated", "--plate", "60", listen=address)
         assert server.process.wait() == 3
     (line,) = server.process.lines
@@ -105,7 +105,10 @@ LISTEN = ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"]
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        *((["emulated", "--plate", "60", "--listen", at], 2, "give HOST or HOST:PORT") for at in LISTEN),
+        *(
+            (["emulated", "--plate", "60", "--listen", listen_option], 2, "give HOST or HOST:PORT")
+            for listen_option in LISTEN
+        ),
         (["recorded", "/no/such/file"], 4, "recording /no/such/file: No such file"),
         (["emulated", "--feed", "/nowhere/plate.sock"], 4, "give a path in a folder that can be written"),
         (["emulated", "--plate", "40", "--flat-field-period", "1"], 2, "has no room for a warning"),
@@ -117,8 +120,8 @@ LISTEN = ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"]
 def test_one_line_says_what_is_wrong(
     arguments: list[str], code: int, message: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    at = [] if "--listen" in arguments else ["--listen", "127.0.0.1:0"]
-    assert main([*arguments, *at]) == code
+    listen_option = [] if "--listen" in arguments else ["--listen", "127.0.0.1:0"]
+    assert main([*arguments, *listen_option]) == code
     (line,) = caplog.messages
     assert message in line
     assert "\n" not in line
@@ -170,11 +173,11 @@ import twinmatch_camera.sources.recorded, twinmatch_camera.sources.lepton, twinm
 
 
 def test_the_program_needs_nothing_of_twinmatch_but_numpy_and_cbor2() -> None:
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", LIGHT],
         env={"PYTHONPATH": CAMERA_PATHS},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert completed.returncode == 0, completed.stderr

@@ -46,9 +46,9 @@ def recording(path: Path, counters: list[int], gap_ms: int = 5) -> Path:
 def drain(source: RecordedSource, count: int) -> list[Exposure]:
     got: list[Exposure] = []
     while len(got) < count:
-        found = source.read(1.0)
-        if found is not None:
-            got.append(found)
+        exposure = source.read(1.0)
+        if exposure is not None:
+            got.append(exposure)
     return got
 
 
@@ -253,11 +253,13 @@ def test_images_are_numbered_as_they_change() -> None:
 def test_telemetry_in_the_last_three_rows() -> None:
     rows = np.full((63, 80), 30000)
     rows[60:] = 0
-    rows[60, 3], rows[60, 20], rows[62, 48], rows[62, 49] = 2 << 4, 99, 1, 1
-    found = opened(FakeCapture(rows, shape=(63, 80))).read(0.1)
-    assert found is not None
-    assert found.image.shape == (60, 80)
-    assert (found.frame_counter, found.flat_field) == (99, FlatField.RUNNING)
+    rows[60, 3] = 2 << 4
+    rows[60, 20] = 99
+    rows[62, 48:50] = 1
+    exposure = opened(FakeCapture(rows, shape=(63, 80))).read(0.1)
+    assert exposure is not None
+    assert exposure.image.shape == (60, 80)
+    assert (exposure.frame_counter, exposure.flat_field) == (99, FlatField.RUNNING)
 
 
 def test_an_image_cut_short_is_left_out() -> None:
@@ -358,9 +360,9 @@ def test_what_is_asked_of_linuxpy(monkeypatch: pytest.MonkeyPatch) -> None:
     source.open()
     assert source.read(0.01) is None
     os.write(linuxpy.writable, np.arange(8, dtype="<u2").tobytes())
-    found = source.read(0.1)
-    assert found is not None
-    assert found.image.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    exposure = source.read(0.1)
+    assert exposure is not None
+    assert exposure.image.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
     source.close()
     assert linuxpy.done == ["/dev/video9", "open", (4, 2, "Y16 "), "on", "off", "close"]
     linuxpy.end()

@@ -43,7 +43,7 @@ def telemetry_rows(counter: int = 1, status: int = 3 << 4, **words: int) -> np.n
     a = {1: 5000, 3: status & 0xFFFF, 4: status >> 16, 20: counter & 0xFFFF, 21: counter >> 16, 24: 30315}
     for word, value in {**a, 30: 1000}.items():
         rows[0, word] = value
-    rows[2, 48], rows[2, 49] = 1, 1
+    rows[2, 48:50] = 1
     for name, value in words.items():
         rows[{"a": 0, "c": 2}[name[0]], int(name[1:])] = value
     return rows
@@ -134,19 +134,19 @@ def told(**words: int) -> Exposure:
 
 
 def test_telemetry_words() -> None:
-    found = told(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
-    assert (found.frame_counter, found.sensor_temperature, found.stamp) == (70_000, 30_315, 7)
-    assert found.flat_field is FlatField.COMPLETE
-    assert found.flat_field_age == 65_536 + 4000
-    assert found.flags is FrameFlags.OVERHEATING
-    assert (found.radiometric, found.resolution) == (True, 0.01)
+    telemetry = told(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
+    assert (telemetry.frame_counter, telemetry.sensor_temperature, telemetry.stamp) == (70_000, 30_315, 7)
+    assert telemetry.flat_field is FlatField.COMPLETE
+    assert telemetry.flat_field_age == 65_536 + 4000
+    assert telemetry.flags is FrameFlags.OVERHEATING
+    assert (telemetry.radiometric, telemetry.resolution) == (True, 0.01)
 
 
 @pytest.mark.parametrize("state", list(FlatField))
 def test_flat_field_states(state: FlatField) -> None:
-    found = told(status=state << 4)
-    assert found.flat_field is state
-    assert (found.flat_field_age is None) == (state is FlatField.NEVER)
+    telemetry = told(status=state << 4)
+    assert telemetry.flat_field is state
+    assert (telemetry.flat_field_age is None) == (state is FlatField.NEVER)
 
 
 @pytest.mark.parametrize(
@@ -163,10 +163,10 @@ def test_status_bits(bit: int, flag: FrameFlags) -> None:
 
 
 def test_counts_that_are_not_temperatures() -> None:
-    found = told(c48=0, c49=0)
-    assert found.flags is FrameFlags.NOT_RADIOMETRIC
-    assert found.resolution == 0.1
-    assert not found.radiometric
+    telemetry = told(c48=0, c49=0)
+    assert telemetry.flags is FrameFlags.NOT_RADIOMETRIC
+    assert telemetry.resolution == 0.1
+    assert not telemetry.radiometric
 
 
 # --- the source ----------------------------------------------------------------------------------
@@ -233,8 +233,8 @@ def test_each_new_image_is_passed_on_once() -> None:
     packets = [p for counter in (1, 1, 1, 2, 2, 2, 3) for p in [*frame_packets(counter), DISCARD]]
     source = opened(FakeSpi(packets))
     got = []
-    while (found := source.read(0.05)) is not None:
-        got.append(found.frame_counter)
+    while (passed_on := source.read(0.05)) is not None:
+        got.append(passed_on.frame_counter)
     assert got == [1, 2, 3]
     assert source.name == "Lepton on /dev/spidev0.0 and /dev/i2c-1"
 
@@ -246,8 +246,8 @@ def test_a_picture_that_stands_still_is_repeated(monkeypatch: pytest.MonkeyPatch
     packets = [p for _ in range(26) for p in frame_packets(7, status=2 << 4)]
     source = opened(FakeSpi(packets))
     got = []
-    while (found := source.read(0.5)) is not None:
-        got.append(found)
+    while (passed_on := source.read(0.5)) is not None:
+        got.append(passed_on)
     assert {e.frame_counter for e in got} == {7}
     assert all(e.frozen for e in got)
     # 63 packets of a millisecond each: a frame every 63 ms, of which every second is passed on.
@@ -260,9 +260,9 @@ def test_lost_sync_means_silence_and_then_frames_again() -> None:
     bad[10] = bytes(4) + bad[10][4:]
     # After the damaged packet what was fetched with it is thrown away.
     source = opened(FakeSpi([*bad, *[DISCARD] * 20, *frame_packets(2)]), sleeps)
-    found = source.read(1.0)
-    assert found is not None
-    assert found.frame_counter == 2
+    first_after = source.read(1.0)
+    assert first_after is not None
+    assert first_after.frame_counter == 2
     assert sleeps.count(RESYNC_SILENCE) >= 2
     assert RESYNC_SILENCE > 5 / 27
 

@@ -47,10 +47,10 @@ def test_a_profile_ends_unless_it_repeats():
     assert STAIRS.duration == 60
     assert not STAIRS.ended(59.999)
     assert STAIRS.ended(60)
-    again = made(STAIRS.levels, STAIRS.holds, repeat=True)
-    assert again.duration == math.inf
-    assert not again.ended(1e9)
-    assert [again.reference(t) for t in (60, 70, 90, 119, 120)] == [30, 50, 40, 40, 30]
+    repeating = made(STAIRS.levels, STAIRS.holds, repeat=True)
+    assert repeating.duration == math.inf
+    assert not repeating.ended(1e9)
+    assert [repeating.reference(t) for t in (60, 70, 90, 119, 120)] == [30, 50, 40, 40, 30]
 
 
 def test_a_ramp_leads_from_level_to_level():
@@ -72,12 +72,12 @@ def test_the_set_point_stays_between_the_levels(profile, time):
 
 @given(profiles, st.floats(0.0, 1e4))
 def test_a_repeating_profile_has_a_period(profile, time):
-    again = dataclasses.replace(profile, repeat=True, ramp=0.0)
+    repeating = dataclasses.replace(profile, repeat=True, ramp=0.0)
     round_ = sum(profile.holds)
     # Close to a step the rounding of the sum decides on which side of it the time is.
     edges = [abs(time % round_ - sum(profile.holds[:k])) for k in range(len(profile.holds) + 1)]
     if min(edges) > 1e-6:
-        assert again.reference(time + round_) == again.reference(time)
+        assert repeating.reference(time + round_) == repeating.reference(time)
 
 
 @given(profiles, st.floats(0.0, 1e4), st.floats(0.0, 1.0))
@@ -127,10 +127,10 @@ SECOND = 1_000_000_000
 
 def tick(loop, at, reference=30.0, temperature=None):
     """A tick at `at` seconds, after a temperature if one is given."""
-    now = round(at * SECOND)
+    stamp = round(at * SECOND)
     if temperature is not None:
-        loop.measure(temperature, now)
-    return loop.tick(now, lambda _: reference)
+        loop.measure(temperature, stamp)
+    return loop.tick(stamp, lambda _: reference)
 
 
 @pytest.mark.parametrize("number", [5, 14, 27])
@@ -172,9 +172,9 @@ def test_the_set_point_is_asked_for_at_times_of_the_grid():
         return 30.0
 
     loop = Loop(Peltier, replace(GAINS, period=0.5))
-    for at in (10.0, 10.7, 11.0, 13.1):
-        loop.measure(25.0, round(at * SECOND))
-        loop.tick(round(at * SECOND), profile)
+    for arrival in (10.0, 10.7, 11.0, 13.1):
+        loop.measure(25.0, round(arrival * SECOND))
+        loop.tick(round(arrival * SECOND), profile)
     assert asked == [0.0, 0.5, 1.0, 3.0]
 
 
@@ -201,9 +201,9 @@ def test_a_stale_temperature_switches_off_and_leaves_a_gap():
     assert tick(loop, 8) is None
     assert "the newest temperature is 4.0 s old" in loop.trouble
     assert (loop.input, loop.running, loop.idle) == (0.0, False, 2)
-    again = tick(loop, 9, 30.0, 25.0)
-    assert again.index == 9
-    assert again.input == pytest.approx(0.0, abs=1e-9)
+    restarted = tick(loop, 9, 30.0, 25.0)
+    assert restarted.index == 9
+    assert restarted.input == pytest.approx(0.0, abs=1e-9)
     assert loop.time == 9
 
 
@@ -253,14 +253,14 @@ def test_samples_of_a_limited_drive_have_what_passes_and_the_integral_does_not_w
 
 def test_a_late_tick_is_not_a_missed_one():
     loop = Loop(Peltier)
-    indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]
+    indices = [tick(loop, time, 30.0, 29.0).index for time in (0, 1.9, 2.0, 3.0)]
     assert indices == [0, 1, 2, 3]
     assert loop.missed == 0
 
 
 def test_a_late_first_tick_does_not_shift_the_grid():
     loop = Loop(Peltier)
-    assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1, 2, 3.9)] == [0, 1, 2, 3]
+    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1, 2, 3.9)] == [0, 1, 2, 3]
     assert loop.jitter == pytest.approx(0.9)
 
 
@@ -298,7 +298,7 @@ def test_an_index_is_a_place_on_the_grid(calls, late):
 
 def test_the_grid_moves_to_the_least_late_tick():
     loop = Loop(Peltier)
-    assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1.0, 2.1, 4.2)] == [0, 1, 2, 4]
+    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1.0, 2.1, 4.2)] == [0, 1, 2, 4]
     assert loop.missed == 1
 
 
@@ -330,12 +330,12 @@ def test_a_proportional_law_keeps_nothing_of_a_limit_or_a_stop():
     """Without integral action nothing would undo what back-calculation or a restart adds to the command."""
     gains = replace(Peltier.loop, proportional=10.0, integral=0.0, derivative=0.0, back_calculation=1.0)
     loop = Loop(Peltier, gains)
-    given = {}
+    commands = {}
     for k in (0, 1, 2, 3, 9, 10):  # the set-point is far at first; ticks 4 to 8 are missed
         loop.measure(20.0, k * 10**9)
         sample = loop.tick(k * 10**9, lambda t: 90.0 if t < 2 else 22.0)
-        given[k] = sample.input
-    assert given == {0: 255.0, 1: 255.0, 2: 20.0, 3: 20.0, 9: 20.0, 10: 20.0}
+        commands[k] = sample.input
+    assert commands == {0: 255.0, 1: 255.0, 2: 20.0, 3: 20.0, 9: 20.0, 10: 20.0}
 
 
 def test_two_loops_are_two_pids_on_one_grid():
@@ -351,8 +351,11 @@ def test_two_loops_are_two_pids_on_one_grid():
         both.measure(readings, k * SECOND)
         sample = both.tick(k * SECOND, lambda _, r=references: r)
         for number, loop in enumerate(alone):
-            own = tick(loop, k, references[number], readings[number])
-            assert (own.input, own.output) == (sample.inputs[number], sample.outputs[number])
+            sample_alone = tick(loop, k, references[number], readings[number])
+            assert (sample_alone.input, sample_alone.output) == (
+                sample.inputs[number],
+                sample.outputs[number],
+            )
     assert (both.missed, alone[0].missed) == (5, 5)
     both.measure((25.0,), 60 * SECOND)
     both.measure((25.0, math.nan), 60 * SECOND)
@@ -375,15 +378,15 @@ def test_a_plant_with_another_law_is_not_controlled():
 def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading():
     """Loop 1 continues without a bump when its sensor is replaced, and when it is back."""
     loop = Loop(TCLabBoth)
-    other = Loop(TCLabBoth)
+    undisturbed = Loop(TCLabBoth)
     steps = []
     for k in range(60):
         lies = 20 <= k < 40
-        for one, first in ((loop, 45.0 if lies else 40.0), (other, 40.0)):
-            taken = (40.0, math.nan) if lies and one is loop else ()
-            one.measure((first, 30.0), k * 10**9, taken=taken)
-        sample, same = (one.tick(k * 10**9, lambda _: (42.0, 33.0)) for one in (loop, other))
-        steps.append((sample, same))
+        for tested, first in ((loop, 45.0 if lies else 40.0), (undisturbed, 40.0)):
+            replacement = (40.0, math.nan) if lies and tested is loop else ()
+            tested.measure((first, 30.0), k * 10**9, taken=replacement)
+        sample, expected = (tested.tick(k * 10**9, lambda _: (42.0, 33.0)) for tested in (loop, undisturbed))
+        steps.append((sample, expected))
     assert [sample.outputs[0] for sample, _ in steps[20:40]] == [45.0] * 20
     assert max(abs(a.inputs[1] - b.inputs[1]) for a, b in steps) == 0.0
     # Where a controller continues, its integral is set for the command of the tick before: a tick of growth.

@@ -18,14 +18,16 @@ NEEDS_ROS = re.compile(r"import rclpy|cyclonedds")
 
 
 def examples() -> list[tuple[str, str]]:
-    found = []
+    runnable = []
     for page in PAGES:
         blocks = re.findall(
             r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
         )
         name = str(page.relative_to(PROJECT))
-        found += [(f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)]
-    return found
+        runnable += [
+            (f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)
+        ]
+    return runnable
 
 
 @pytest.fixture(autouse=True)

@@ -41,16 +41,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = [word for setting in plain for word in ("-D", setting)]
     places = ["-d", folder / "trees", DOCS, folder / "html"]
     command = [sys.executable, "-c", BUILD, "-q", "-W", "--keep-going", *options, *places]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr
     return folder / "html"
 
 
 def is_public(module: ModuleType, name: str, it: object) -> bool:
     """Whether a class or function is listed by its room, or defined in a file that has no list."""
     listed = getattr(module, "__all__", None)
-    own = getattr(it, "__module__", "") == module.__name__ and not name.startswith("_")
-    return (inspect.isclass(it) or inspect.isfunction(it)) and (own if listed is None else name in listed)
+    is_defined_here = getattr(it, "__module__", "") == module.__name__ and not name.startswith("_")
+    return (inspect.isclass(it) or inspect.isfunction(it)) and (
+        is_defined_here if listed is None else name in listed
+    )
 
 
 def test_every_page_is_there(site: Path) -> None:
@@ -69,8 +71,8 @@ def described_and_offered(site: Path, room: str) -> tuple[set[str], set[str]]:
     offered = {
         f"{module}.{name}"
         for module in modules
-        for name, it in vars(importlib.import_module(module)).items()
-        if is_public(importlib.import_module(module), name, it)
+        for name, member in vars(importlib.import_module(module)).items()
+        if is_public(importlib.import_module(module), name, member)
     }
     return described, offered
 

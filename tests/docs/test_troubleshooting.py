@@ -27,15 +27,18 @@ SIGALRM = 128 + 14
 
 
 def section(title: str) -> str:
-    found = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
-    assert found, f"the page has no section {title!r}"
-    return found[1]
+    matched = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    assert matched, f"the page has no section {title!r}"
+    return matched[1]
 
 
 def rows(text: str) -> list[list[str]]:
-    lines = [line for line in text.splitlines() if line.startswith("|")]
-    cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+    cells = [cells_of(line) for line in text.splitlines() if line.startswith("|")]
     return [line for line in cells if not re.fullmatch(r"it says|code|-+", line[0].split("|")[0])]
+
+
+def cells_of(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split(" | ")]
 
 
 def first_words(title: str) -> list[str]:
@@ -94,9 +97,9 @@ def exit_codes(tree: ast.AST) -> Iterator[int]:
 
 
 def test_every_exit_code_has_a_row_and_there_is_no_other() -> None:
-    known = {code for path in SOURCES for code in exit_codes(ast.parse(path.read_text("utf-8")))}
-    assert {0, 1, 2, 3, 4, 130} <= known
-    assert {int(row[0]) for row in rows(section("Exit codes"))} == known | {SIGALRM}
+    used_codes = {code for path in SOURCES for code in exit_codes(ast.parse(path.read_text("utf-8")))}
+    assert {0, 1, 2, 3, 4, 130} <= used_codes
+    assert {int(row[0]) for row in rows(section("Exit codes"))} == used_codes | {SIGALRM}
 
 
 def test_an_exit_code_that_is_new_would_be_found() -> None:

@@ -49,91 +49,93 @@ def followed(page: Path, folder: Path) -> list[tuple[list[str], int, str]]:
     """What the commands of a page say in a folder with its files, with their exit codes."""
     files(page, folder)
     assert python("make_log.py", folder=folder).returncode == 0
-    said: list[tuple[list[str], int, str]] = []
+    results: list[tuple[list[str], int, str]] = []
     for program, *arguments in commands(page):
         if program == "twinmatch":
-            done = run_twinmatch(*arguments, folder=folder)
+            completed = run_twinmatch(*arguments, folder=folder)
         else:
-            done = python(*arguments, folder=folder)
-        assert "Traceback" not in done.stderr, done.stderr
-        said.append((arguments, done.returncode, done.stdout + done.stderr))
-    return said
+            completed = python(*arguments, folder=folder)
+        assert "Traceback" not in completed.stderr, completed.stderr
+        results.append((arguments, completed.returncode, completed.stdout + completed.stderr))
+    return results
 
 
 @pytest.mark.long(WHOLE_PAGE)
 def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> None:
     """And what the twin was before is what the page's table was made with."""
-    said = followed(HOT_END, tmp_path)
-    assert all(code == 0 for _, code, _ in said), said
-    faults = re.search(r"Faults: (.*)", said[-1][2])
+    results = followed(HOT_END, tmp_path)
+    assert all(code == 0 for _, code, _ in results), results
+    faults = re.search(r"Faults: (.*)", results[-1][2])
     assert faults is not None
     *before, last = faults[1].rstrip(".").split("; ")
     assert re.match(r"drive-lost since 21\d\d s", last)
-    assert all(one.startswith("drift from 21") for one in before), "until losses and drive are told apart"
-    found = dict(re.findall(r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", said[-1][2]))
+    assert all(fault_text.startswith("drift from 21") for fault_text in before), (
+        "until losses and drive are told apart"
+    )
+    parameters = dict(re.findall(r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", results[-1][2]))
     wanted = {"power": 0.4, "losses": 0.07, "blown": 40.0, "lag": 4.0}
-    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.05)
 
 
 @pytest.mark.long(WHOLE_PAGE)
 def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> None:
-    (_, lacking, asked), *others = followed(ROOM, tmp_path)
+    (_, lacking, asked), *results_after = followed(ROOM, tmp_path)
     assert lacking == 1
     assert re.search("a second store beside air of about [0-9.]+ h would explain 9.%", asked)
-    assert all(code == 0 for _, code, _ in others), others
-    last = others[-1][2]
+    assert all(code == 0 for _, code, _ in results_after), results_after
+    last = results_after[-1][2]
     assert re.search(r"Faults: losses-changed from 98\d\d\d\d to 10[12]\d\d\d\d s", last)
-    found = dict(re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last))
+    parameters = dict(re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last))
     wanted = {"capacity": 8e5, "mass": 6e6, "losses": 12.0, "surface": 150.0, "shell": 20.0}
-    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.1)
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.1)
 
 
 @pytest.mark.long(WHOLE_PAGE)
 def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> None:
     """Named within a minute; and what the cell was before comes out as it went in."""
-    said = followed(CELL, tmp_path)
-    assert all(code == 0 for _, code, _ in said), said
-    last = said[-1][2]
+    results = followed(CELL, tmp_path)
+    assert all(code == 0 for _, code, _ in results), results
+    last = results[-1][2]
     named = re.search(r"^(\d+) +fault .*\n +drive-lost: the drive has no effect", last, re.MULTILINE)
     assert named is not None
     assert 5000 < int(named[1]) <= 5060
     assert re.search(r"Faults: drive-lost from 49\d\d to 51\d\d s; drive-lost from 51\d\d", last)
-    found = dict(re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last))
+    parameters = dict(re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last))
     wanted = {"slope": 22.0, "r": 2.0, "r1": 1.0, "t1": 20.0}
-    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.05)
 
 
 @pytest.mark.long(WHOLE_PAGE)
 def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) -> None:
     """What is said before is what the page quotes; afterwards 0.6 of the right heater's power is left."""
-    said = followed(PLATE, tmp_path)
-    assert all(code == 0 for _, code, _ in said), said
+    results = followed(PLATE, tmp_path)
+    assert all(code == 0 for _, code, _ in results), results
     for quoted in re.findall(r"^> `(.*)`$", PLATE.read_text(encoding="utf-8"), re.MULTILINE)[:1]:
-        assert quoted in said[0][2]
-    named = re.search(r"drive-weak from (\d+) s .* at (\d+) s: right heater has (\d+)%", said[-2][2])
+        assert quoted in results[0][2]
+    named = re.search(r"drive-weak from (\d+) s .* at (\d+) s: right heater has (\d+)%", results[-2][2])
     assert named is not None
-    begins, flagged, left = map(int, named.groups())
+    begins, flagged, power_left = map(int, named.groups())
     assert abs(begins - 2100) <= 2  # onsets are two seconds apart
     assert flagged <= 2160
-    assert 45 <= left <= 75
-    since = re.search(r"Faults: drive-weak of right heater since (\d+) s\.", said[-1][2])
+    assert 45 <= power_left <= 75
+    since = re.search(r"Faults: drive-weak of right heater since (\d+) s\.", results[-1][2])
     assert since is not None
     assert int(since[1]) == begins
 
 
 def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
-    said = followed(PAGE, tmp_path)
-    looked = [(code, text) for arguments, code, text in said if "--data" in arguments]
-    others = [(arguments, code) for arguments, code, _ in said if "--data" not in arguments]
-    assert all(code == 0 for _, code in others), others
+    results = followed(PAGE, tmp_path)
+    looked = [(code, text) for arguments, code, text in results if "--data" in arguments]
+    other_results = [(arguments, code) for arguments, code, _ in results if "--data" not in arguments]
+    assert all(code == 0 for _, code in other_results), other_results
     ((code, text),) = looked
     assert code == 0
-    found = dict(re.findall(r"(gain|lag|sensor_lag) = ([\d.]+) ±", text))
+    parameters = dict(re.findall(r"(gain|lag|sensor_lag) = ([\d.]+) ±", text))
     # What the page's table was made with; its noise leaves less than a hundredth of it open.
-    assert {name: float(value) for name, value in found.items()} == pytest.approx(
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(
         {"gain": 0.45, "lag": 180.0, "sensor_lag": 12.0}, rel=0.02
     )
-    assert re.search("^Leader: .*trust it .* s ahead between", said[-1][2], re.MULTILINE)
+    assert re.search("^Leader: .*trust it .* s ahead between", results[-1][2], re.MULTILINE)
 
 
 # The notebook runs from its first to its last cell, without a warning, and finds what it shows.
@@ -175,8 +177,10 @@ def run(shown: Any) -> Any:
     notebook = nbformat.reads(nbformat.writes(shown), as_version=4)
     strict = nbformat.v4.new_code_cell("import warnings\nwarnings.simplefilter('error')")
     notebook.cells = [strict, *notebook.cells, nbformat.v4.new_code_cell(ASK)]
-    there = {"metadata": {"path": str(NOTEBOOK.parent)}}
-    return nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources=there).execute()
+    resources = {"metadata": {"path": str(NOTEBOOK.parent)}}
+    return nbclient.NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources=resources
+    ).execute()
 
 
 def outputs(cell: Any, kind: str) -> str:
@@ -205,28 +209,28 @@ def test_every_cell_runs_without_a_warning(run: Any) -> None:
 
 def test_it_finds_what_the_session_was_made_with(run: Any) -> None:
     """The rig of the sample session: 60 mV/K, 0.5 W/K, 27 J/K on a sink that the twin does not know."""
-    found = json.loads(outputs(run.cells[-1], "stdout"))
-    assert found["status"] == "accepted"
+    answer = json.loads(outputs(run.cells[-1], "stdout"))
+    assert answer["status"] == "accepted"
     truth = {"seebeck": 0.06, "conductance": 0.5, "heat_capacity": 27.0}
     for name, value in truth.items():
-        assert found["parameters"][name] == pytest.approx(value, rel=0.15)
+        assert answer["parameters"][name] == pytest.approx(value, rel=0.15)
     for name in ("seebeck", "heat_capacity"):
-        low, high = found["intervals"][name]
+        low, high = answer["intervals"][name]
         assert low < truth[name] < high
-    assert abs(found["energy"]) < 1e-9
-    assert found["gains"] == found["recorded_gains"], "by hand and by the twin"
-    assert found["chosen"] in {"22221", "33331", "44441", "55551"}
-    assert found["nominal"] == min(found["sums"], key=found["sums"].get)
-    assert found["fit"] > 0.98
-    assert found["level"] == "trusted"
+    assert abs(answer["energy"]) < 1e-9
+    assert answer["gains"] == answer["recorded_gains"], "by hand and by the twin"
+    assert answer["chosen"] in {"22221", "33331", "44441", "55551"}
+    assert answer["nominal"] == min(answer["sums"], key=answer["sums"].get)
+    assert answer["fit"] > 0.98
+    assert answer["level"] == "trusted"
 
 
 def test_what_is_shown_is_what_comes_out(shown: Any, run: Any) -> None:
     """Words and structure; last digits may differ from processor to processor."""
-    for one, other in zip(shown.cells, run.cells[1:-1], strict=True):
-        if one.cell_type == "code":
-            before = outputs(one, "stdout").split()
-            after = outputs(other, "stdout").split()
+    for cell_as_shown, cell_as_run in zip(shown.cells, run.cells[1:-1], strict=True):
+        if cell_as_shown.cell_type == "code":
+            before = outputs(cell_as_shown, "stdout").split()
+            after = outputs(cell_as_run, "stdout").split()
             assert len(before) == len(after)
             words = [w for w in before if w.isalpha()]
             assert words == [w for w in after if w.isalpha()]
@@ -250,9 +254,9 @@ def test_it_is_a_number_with_a_stamp(name: str) -> None:
     kind = TOPICS[topic].replace("/msg/", "/")
     for number, field in enumerate(fields.split("/")):
         package, short = kind.split("/")
-        known = getattr(importlib.import_module(f"{package}.msg"), short).get_fields_and_field_types()
-        assert number or known["header"] == "std_msgs/Header"
-        kind = known[field.split("[")[0]]
+        field_types = getattr(importlib.import_module(f"{package}.msg"), short).get_fields_and_field_types()
+        assert number or field_types["header"] == "std_msgs/Header"
+        kind = field_types[field.split("[")[0]]
         if "[" in field:
             kind = re.fullmatch(r"sequence<(.+)>", kind)[1]  # type: ignore[index]
     assert NUMBER.fullmatch(kind), f"{name} is {kind}"

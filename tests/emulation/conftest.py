@@ -42,9 +42,9 @@ class RigProcess:
         return tell(self.address("control"), line)
 
     def state(self) -> dict[str, Any]:
-        found = json.loads(self.tell("state"))
-        assert isinstance(found, dict)
-        return found
+        rig_state = json.loads(self.tell("state"))
+        assert isinstance(rig_state, dict)
+        return rig_state
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -121,15 +121,15 @@ class Controller:
         start = self._wait_for_time_after(0)
         ticks: list[Tick] = []
         sent = start
-        while (now := self._now) < start + seconds * 1e9:
+        while (time := self._now) < start + seconds * 1e9:
             news = self.thermal.news()
-            if now >= start + len(ticks) * 1e9 and news is not None:
+            if time >= start + len(ticks) * 1e9 and news is not None:
                 y = region(news.frame, PLATE).mean
-                ticks.append(Tick((now - start) / 1e9, y, self._pid.step(reference, y)[0]))
-            if ticks and now - sent >= 1e8:
-                sent = now
+                ticks.append(Tick((time - start) / 1e9, y, self._pid.step(reference, y)[0]))
+            if ticks and time - sent >= 1e8:
+                sent = time
                 self._command(ticks[-1].pwm)
-            self._wait_for_time_after(now)
+            self._wait_for_time_after(time)
         return ticks
 
     def _command(self, pwm: float) -> None:

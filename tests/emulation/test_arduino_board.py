@@ -29,9 +29,9 @@ TICK = 0.001
 
 @pytest.fixture(params=boards.KINDS)
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
-    made = boards.make(request.param)
-    yield made
-    made.close()
+    opened = boards.make(request.param)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture
@@ -44,9 +44,9 @@ def wire(board: Board) -> Iterator[Wire]:
 def seconds_until_off(board: Board, limit: float) -> float:
     """Time from now to the millisecond in which the driver goes off."""
     start = board.drive().time
-    while (now := board.advance(TICK)).enabled:
-        assert now.time - start < limit, f"still on after {limit} s"
-    return now.time - start
+    while (drive := board.advance(TICK)).enabled:
+        assert drive.time - start < limit, f"still on after {limit} s"
+    return drive.time - start
 
 
 def test_it_says_who_it_is(wire: Wire) -> None:
@@ -172,13 +172,13 @@ def test_a_change_of_direction_passes_through_zero(board: Board, wire: Wire, pwm
     wire.ready()
     wire.status(f"P 2 {pwm}")
     wire.send(seal(f"P 3 {-pwm}"))
-    seen = [board.drive().pwm]
-    while seen[-1] * pwm >= 0:
-        seen.append(board.advance(TICK).pwm)
-        assert len(seen) < 20
-    assert 0.0 in seen
-    assert seen[seen.index(0.0) :].count(0.0) >= 2
-    assert seen[-1] == pytest.approx(-pwm, abs=0.16)
+    drives = [board.drive().pwm]
+    while drives[-1] * pwm >= 0:
+        drives.append(board.advance(TICK).pwm)
+        assert len(drives) < 20
+    assert 0.0 in drives
+    assert drives[drives.index(0.0) :].count(0.0) >= 2
+    assert drives[-1] == pytest.approx(-pwm, abs=0.16)
 
 
 def test_a_driver_fault_trips_and_tells(board: Board, wire: Wire) -> None:
@@ -225,14 +225,14 @@ def test_hung_firmware_is_restarted_by_the_watchdog_and_comes_back_off(board: Bo
     took = seconds_until_off(board, limit=0.6)
     assert took <= 0.53  # 500 ms nominal; the simulator's watchdog clock gives 512
     board.advance(0.2)
-    again = Wire(board)
-    banner = again.ask("H 5")
+    reconnected = Wire(board)
+    banner = reconnected.ask("H 5")
     assert isinstance(banner, Banner)
     assert banner.restarts == 1
     assert banner.reset_flags & 0x08
-    assert again.ask("P 6 200") == Refusal(6, Code.LATCHED)
-    assert again.status("Q 7").flags == Flags.TRIPPED | Flags.RESET
-    again.close()
+    assert reconnected.ask("P 6 200") == Refusal(6, Code.LATCHED)
+    assert reconnected.status("Q 7").flags == Flags.TRIPPED | Flags.RESET
+    reconnected.close()
 
 
 def test_a_pulled_cable_trips_and_a_returned_one_finds_it_latched(board: Board, wire: Wire) -> None:
@@ -243,10 +243,10 @@ def test_a_pulled_cable_trips_and_a_returned_one_finds_it_latched(board: Board, 
     assert not Path(board.port).exists()
     board.plug()
     board.advance(0.1)
-    again = Wire(board)
-    again.ask("H 0")
-    assert again.status("Q 1").flags == Flags.TRIPPED | Flags.DEADLINE
-    again.close()
+    reconnected = Wire(board)
+    reconnected.ask("H 0")
+    assert reconnected.status("Q 1").flags == Flags.TRIPPED | Flags.DEADLINE
+    reconnected.close()
 
 
 def test_a_host_that_stops_reading_cannot_hold_up_the_firmware(board: Board, wire: Wire) -> None:
@@ -321,15 +321,15 @@ def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire:
     for n, (payload, line) in enumerate(damaged_lines(FUZZ, seed=11)):
         if n % 50 == 0:
             wire.ready()
-            now = wire.status("P 2 -77").applied
+            applied = wire.status("P 2 -77").applied
         wire.send(line + b"\n")
         board.advance(0.008)  # what it answers to that must not crowd out the reply to the next
         wire.send(seal("Q 60000"))
         reply = wire.wait(lambda r: isinstance(r, BoardStatus) and r.sequence == 60000)
         assert isinstance(reply, BoardStatus)
-        assert reply.applied in allowed(payload, now), (payload, line)
+        assert reply.applied in allowed(payload, applied), (payload, line)
         assert not reply.flags & Flags.TRIPPED
-        now = reply.applied
+        applied = reply.applied
     assert board.drive().time > 0
 
 
@@ -401,15 +401,15 @@ def test_an_invalid_image(tmp_path: Path) -> None:
 
 
 def test_a_simulator_that_ends_later(tmp_path: Path) -> None:
-    made = VirtualArduino(program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line"))
+    simulator = VirtualArduino(program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line"))
     with pytest.raises(ArduinoError, match="its process has ended"):
-        made.advance(0.1)
+        simulator.advance(0.1)
     with pytest.raises(ArduinoError, match="its process has ended"):
-        made.drive()
-    made.close()
+        simulator.drive()
+    simulator.close()
 
 
 def test_a_simulator_of_another_version(tmp_path: Path) -> None:
     tools = program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line; echo error; read line")
-    with VirtualArduino(tools) as made, pytest.raises(ArduinoError, match="it refused a command"):
-        made.hang()
+    with VirtualArduino(tools) as simulator, pytest.raises(ArduinoError, match="it refused a command"):
+        simulator.hang()

@@ -125,8 +125,8 @@ def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         board.advance(0.1)
     else:
         board = boards.make(request.param)
-    with closing(Host(board)) as made:
-        yield made
+    with closing(Host(board)) as opened:
+        yield opened
 
 
 @pytest.mark.long("eight minutes of full drive on the simulated processor")
@@ -181,17 +181,17 @@ def given_back(host: Host, since: float) -> float:
 
 def test_clearing_counts_only_after_a_rest(host: Host) -> None:
     assert not host.hold(255, 3.0)
-    off = host.board.drive().time
+    end_of_drive = host.board.drive().time
     for _ in range(2):
         assert host.status("C").flags == SPENT
         assert isinstance(refused := host.ask("P", 255), Refusal)
         assert refused.code is Code.LATCHED
         host.open_again()
     assert host.status("Q").flags == SPENT
-    host.board.advance(off + SHORT / 2 * FULL / HOLD + 0.005 - host.board.drive().time)
+    host.board.advance(end_of_drive + SHORT / 2 * FULL / HOLD + 0.005 - host.board.drive().time)
     assert host.status("Q").flags & SPENT == SPENT  # half of the budget is back, but nothing clears itself
     assert host.status("C").flags == Flags.NONE
-    expected = given_back(host, off)
+    expected = given_back(host, end_of_drive)
     before = len(host.pins)
     assert 1.0 < expected < 1.3
     assert not host.hold(255, 3.0)
@@ -200,13 +200,13 @@ def test_clearing_counts_only_after_a_rest(host: Host) -> None:
 
 def test_a_silent_host_trips_the_deadline_and_gets_nothing_back_by_clearing(host: Host) -> None:
     assert not host.hold(255, 1.5, repeat=9.0)
-    off = host.board.drive().time
+    end_of_drive = host.board.drive().time
     assert len(host.pins) * TICK == pytest.approx(1.0, abs=0.01)
     assert host.status("Q").flags == Flags.TRIPPED | Flags.DEADLINE
     assert host.status("C").flags == Flags.NONE
     host.open_again()
     host.status("C")
-    expected = SHORT - 1.0 + given_back(host, off)
+    expected = SHORT - 1.0 + given_back(host, end_of_drive)
     before = len(host.pins)
     assert expected < 1.5
     assert not host.hold(255, 3.0)

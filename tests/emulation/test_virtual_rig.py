@@ -89,8 +89,14 @@ def test_a_signal_ends_it_and_nothing_is_left(rig: Start, tmp_path: Path) -> Non
     children = running.process.children
     assert children
     for process in (running.process.id, *children):  # it needs no shared memory, so it leaves none
-        shared = [at for at in Path(f"/proc/{process}/maps").read_text().splitlines() if "/dev/shm" in at]
-        assert all("lttng" in at for at in shared)  # of the tracer that ROS loads, for all processes
+        shared = [
+            mapping
+            for mapping in Path(f"/proc/{process}/maps").read_text().splitlines()
+            if "/dev/shm" in mapping
+        ]
+        assert all(
+            "lttng" in mapping for mapping in shared
+        )  # of the tracer that ROS loads, for all processes
     assert Path(running.address("serial")).exists()
     assert running.process.end(signal.SIGTERM) == 0
     assert not any(map(lives, children))
@@ -104,19 +110,19 @@ def test_killed_they_leave_no_orphans_and_the_next_one_tidies_up_and_leaves_othe
 ) -> None:
     rigs = [rig("--board", board) for board in ("python", "auto")]
     children = [running.process.children for running in rigs]
-    assert [len(found) for found in children] == [1, 2 if SIMULATOR else 1]
-    other = rig("--board", "python")
+    assert [len(ids) for ids in children] == [1, 2 if SIMULATOR else 1]
+    other_rig = rig("--board", "python")
     for running in rigs:
         assert running.process.end(signal.SIGKILL) == -signal.SIGKILL
     wait_for(lambda: not any(map(lives, itertools.chain(*children))), "the end of the children")
-    left = {Path(running.address("control")).parent for running in rigs}
-    assert all(folder.exists() for folder in left)
+    left_folders = {Path(running.address("control")).parent for running in rigs}
+    assert all(folder.exists() for folder in left_folders)
     following = rig("--board", "python")
-    assert left.isdisjoint(tmp_path.iterdir())
+    assert left_folders.isdisjoint(tmp_path.iterdir())
     assert following.process.end() == 0
-    assert Path(other.address("serial")).exists()
-    other.state()
-    assert other.process.end() == 0
+    assert Path(other_rig.address("serial")).exists()
+    other_rig.state()
+    assert other_rig.process.end() == 0
     assert list(tmp_path.iterdir()) == []
 
 

@@ -108,11 +108,11 @@ def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
 def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(spans: list[tuple[str, int, float]]) -> None:
     schedule = FaultSchedule(RigFault(kind, float(start), float(length)) for kind, start, length in spans)
     on: set[str] = set()
-    for now in range(80):
-        for change in schedule.due(float(now)):
+    for second in range(80):
+        for change in schedule.due(float(second)):
             assert (change.kind in on) is not change.begins  # no change without a difference
             (on.add if change.begins else on.remove)(change.kind)
-        assert on == {kind for kind, start, length in spans if start <= now < start + length}
+        assert on == {kind for kind, start, length in spans if start <= second < start + length}
         assert on == set(schedule.active)
 
 
@@ -278,16 +278,16 @@ def test_a_defect_of_a_reader_is_kept() -> None:
 
 
 def test_a_clock_that_stands_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 10.0
-    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: now)
+    time = 10.0
+    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: time)
     stillness = Stillness(1.0)
     stillness.tell(5)
-    now = 10.9
+    time = 10.9
     assert stillness.seconds() == 0
     stillness.tell(5)  # the rig waits for its readers, and says so
-    now = 11.5
+    time = 11.5
     assert stillness.seconds() == 0
-    now = 12.4
+    time = 12.4
     assert stillness.seconds() == pytest.approx(1.5)
     stillness.tell(4)
     assert (stillness.seconds(), stillness.set_backs) == (0, 1)
@@ -338,17 +338,17 @@ def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
 def test_a_reader_that_gives_no_sign_of_life_is_given_up_until_it_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    now = 10.0
-    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: now)
+    time = 10.0
+    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: time)
     server = ClockServer()
     rig = Reader(server)
     rig.say(server, "drive 100")
     assert server.limit(99) == 100
-    now = 1000.0  # the plant was not waiting for it
+    time = 1000.0  # the plant was not waiting for it
     assert server.limit(100) == 100
-    now = 1029.0
+    time = 1029.0
     assert server.limit(100) == 100
-    now = 1031.0
+    time = 1031.0
     assert server.limit(100) == INFINITE
     assert not server.driven
     rig.say(server, "drive 200")
@@ -468,7 +468,7 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     faults = parse_faults("ambient-step@1,fan-failed@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3")
     settings = RigSettings(speed=20, board="python", seed=3, faults=faults)
-    seen = []
+    runs = []
     for _ in range(2):
         with VirtualRig(settings) as rig:
             assert Path(rig.addresses["serial"]).exists()
@@ -477,10 +477,10 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
                 rig.step()
                 states.append((rig.plant.states.tolist(), rig.drive, rig.state()["faults"]))
             assert not Path(rig.addresses["serial"]).exists()
-        seen.append(states)
-    assert seen[0] == seen[1]
-    assert seen[0][-1][0][1] > RICH_RIG["ambient"]
-    assert seen[0][-1][2] == ["ambient-step", "fan-failed", "cable-pulled", "camera-gone"]
+        runs.append(states)
+    assert runs[0] == runs[1]
+    assert runs[0][-1][0][1] > RICH_RIG["ambient"]
+    assert runs[0][-1][2] == ["ambient-step", "fan-failed", "cable-pulled", "camera-gone"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -494,10 +494,10 @@ def test_without_a_simulator_the_stand_in_says_so(monkeypatch: pytest.MonkeyPatc
         make_board("simavr", tmp_path / "tty")
     with pytest.raises(ArduinoError, match="'esp32' does not exist"):
         make_board("esp32", tmp_path / "tty")
-    made = make_board("auto", tmp_path / "tty")
-    assert made.kind == "python"
-    assert "its sources are not installed" in made.remark
-    made.board.close()
+    stand_in = make_board("auto", tmp_path / "tty")
+    assert stand_in.kind == "python"
+    assert "its sources are not installed" in stand_in.remark
+    stand_in.board.close()
 
 
 def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:

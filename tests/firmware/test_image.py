@@ -24,15 +24,15 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("no AVR toolchain; install gcc-avr, avr-libc and arduino-core-avr")
     build = tmp_path_factory.mktemp("firmware")
     command = ["make", "-s", "-C", str(PROJECT / "firmware"), f"BUILD={build}"]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
-    assert "warning" not in made.stderr
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr
+    assert "warning" not in completed.stderr
     return build / "twinmatch_leonardo.elf"
 
 
 def test_it_fits_with_room_for_the_stack(image: Path) -> None:
-    said = subprocess.run(["avr-size", "-B", image], capture_output=True, text=True, check=True).stdout
-    text, data, bss = map(int, said.splitlines()[1].split()[:3])
+    sizes = subprocess.run(["avr-size", "-B", image], capture_output=True, text=True, check=True).stdout
+    text, data, bss = map(int, sizes.splitlines()[1].split()[:3])
     assert text + data < 0.5 * FLASH
     assert data + bss < 0.5 * MEMORY
 
@@ -117,9 +117,9 @@ def test_both_make_the_same_of_damaged_frames(probe: Path) -> None:
     # Sealed nonsense reaches the parser behind a right check sum.
     nonsense = "P 1 -0|P 1 256|P 1 99999|P 1 100000|Q 65536|Q 01|X 1|  1|P 1 5 |H"
     stream += b"".join(map(seal, nonsense.split("|")))
-    done = subprocess.run([str(probe)], input=stream, capture_output=True, check=True)
-    said = done.stdout.decode().split("\n")
+    completed = subprocess.run([str(probe)], input=stream, capture_output=True, check=True)
+    answers = completed.stdout.decode().split("\n")
     ours = what_we_make_of(stream)
-    assert said[: len(ours)] == ours
-    assert said[len(ours)] == seal("S 65535 4294967295 -255 1023 255").decode().strip()
-    assert said[len(ours) + 1] == "29B1"
+    assert answers[: len(ours)] == ours
+    assert answers[len(ours)] == seal("S 65535 4294967295 -255 1023 255").decode().strip()
+    assert answers[len(ours) + 1] == "29B1"

@@ -25,17 +25,17 @@ def device() -> Iterator[str]:
     def make(what: SimDevice, trace: object) -> ModbusBaseServer:
         return ModbusTcpServer(what, address=("127.0.0.1", port), trace_pdu=trace)
 
-    made = RunningDevice(make, ServedOven().device(), f"modbus://127.0.0.1:{port}/1")
-    yield made.url
-    made.end()
+    running = RunningDevice(make, ServedOven().device(), f"modbus://127.0.0.1:{port}/1")
+    yield running.url
+    running.end()
 
 
 def test_a_page_that_cannot_be_served_leaves_no_thread_of_the_source(device: str, tmp_path: Path) -> None:
     before = set(threading.enumerate())
-    with socket.create_server(("127.0.0.1", 0)) as taken:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
         words = ["attach", "--alone", "--no-record", "--source", device, "--plant", oven_file(tmp_path)]
-        words += ["--period", f"{PERIOD}", "--dashboard", taken.getsockname()[1], "--map", *PLACES]
-        done = run_twinmatch(*words, folder=tmp_path)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
+        words += ["--period", f"{PERIOD}", "--dashboard", listening.getsockname()[1], "--map", *PLACES]
+        completed = run_twinmatch(*words, folder=tmp_path)
+    assert completed.returncode == 2
+    assert "Traceback" not in completed.stderr
     assert not [thread.name for thread in set(threading.enumerate()) - before if thread.is_alive()]

@@ -20,11 +20,13 @@ from twinmatch.sampling.sources import SignalMap, parse_map
 def planned(folder: Path, sim_time: str) -> AttachPlan:
     config = folder / "sampler.yaml"
     config.write_text(f"sampler:\n  ros__parameters:\n    wait_timeout: 0.0\n{sim_time}", "utf-8")
-    said = parse_map([f"{name}={text}" for name, text in MAP.items()])
+    command_line_map = parse_map([f"{name}={text}" for name, text in MAP.items()])
     written = folder / "written"
     written.mkdir()
     with no_plant_files():
-        return attach_plan(written, said.joined(SignalMap(plant=str(oven_file(folder)))), config=config)
+        return attach_plan(
+            written, command_line_map.joined(SignalMap(plant=str(oven_file(folder)))), config=config
+        )
 
 
 @pytest.mark.parametrize(("value", "given"), [("true", True), ("false", False), (None, False)])
@@ -46,13 +48,13 @@ BOTH = ["output.1=/t1", "second_temperature=/t2", "input.1=/q1", "second=/q2", "
 
 def test_two_loops_are_mapped_by_name_and_number_in_file_and_command_line(tmp_path: Path) -> None:
     config = tmp_path / "rig.yaml"
-    given = {
+    parameters = {
         "plant": "tclab-both",
         "paced_by": "input.2",
         "max_age": {"output.1": 9.0},
         "map": {"output.1": "/x"},
     }
-    config.write_text(yaml.safe_dump({"sampler": {"ros__parameters": given}}), "utf-8")
+    config.write_text(yaml.safe_dump({"sampler": {"ros__parameters": parameters}}), "utf-8")
     closed = attach_plan(tmp_path, parse_map([*BOTH, "reference.2=/w2"]), config=config)
     values = sections_of(closed.sampler, "sampler")
     names = ("temperature", "second_temperature", "power", "second")

@@ -50,9 +50,9 @@ def test_a_program_finds_what_it_would_if_it_were_started(tmp_path: Path, progra
     output = tmp_path / "output"
     forked = start(fork_server(), output, program, "3", "x", folder=tmp_path)
     assert forked.wait(PATIENCE) == 3
-    told, error = lines_of(output)
+    reported, error = lines_of(output)
     expected = [["3", "x"], str(tmp_path), {"A": "b"}, os.getpid(), forked.pid, "program.py", "__main__"]
-    assert json.loads(told) == expected
+    assert json.loads(reported) == expected
     assert error == "a line with an error"
 
 

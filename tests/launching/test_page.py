@@ -54,15 +54,15 @@ from twinmatch.showing.lines import Lines
 def children() -> int:
     """Pages that this process started."""
     command = ["ps", "-o", "comm=", "--ppid", str(os.getpid())]
-    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return found.split().count("dashboard")
+    commands = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return commands.split().count("dashboard")
 
 
 def test_it_is_there_within_and_gone_after(ros_domain: int) -> None:  # noqa: ARG001
-    told: list[str] = []
-    with Page(0, control=True, show=told.append):
+    lines: list[str] = []
+    with Page(0, control=True, show=lines.append):
         page = re.compile(r"page: http://127.0.0.1:\d+/$")
-        wait_for(lambda: any(page.search(line) for line in told), "the page's address")
+        wait_for(lambda: any(page.search(line) for line in lines), "the page's address")
         assert children() == 1
     assert children() == 0
 
@@ -89,23 +89,23 @@ def parsed(*words: str) -> Page:
     ],
 )
 def test_options_that_contradict_each_other_are_refused(words: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as raised:
         parsed(*words)
-    assert left.value.code == 2
+    assert raised.value.code == 2
 
 
 @pytest.mark.parametrize("command", ["live", "play", "attach", "demo"])
 def test_every_command_that_starts_nodes_has_it(command: str) -> None:
-    told = run_twinmatch(command, "--help").stdout
-    assert "--dashboard" in told
-    assert "--tell" in told
-    assert ("--control" in told) == (command == "live")
+    help_text = run_twinmatch(command, "--help").stdout
+    assert "--dashboard" in help_text
+    assert "--tell" in help_text
+    assert ("--control" in help_text) == (command == "live")
 
 
 def test_the_page_is_given_the_broker_it_tells(ros_domain: int) -> None:  # noqa: ARG001
-    told: list[str] = []
-    with Page(0, tell="mqtt://127.0.0.1:1", show=told.append):
-        wait_for(lambda: any("no MQTT broker at 127.0.0.1:1" in line for line in told), "what it has tried")
+    lines: list[str] = []
+    with Page(0, tell="mqtt://127.0.0.1:1", show=lines.append):
+        wait_for(lambda: any("no MQTT broker at 127.0.0.1:1" in line for line in lines), "what it has tried")
 
 
 def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001
@@ -216,8 +216,8 @@ def growth(step: Callable[[int], object], warm: int, count: int) -> int:
 
 @pytest.fixture(scope="module")
 def judged() -> tuple[list[Sample], list[Verdict]]:
-    found = judge(session := open_any(SESSION), terms_from_files(session))
-    return list(found.samples), list(found.verdicts)
+    judgement = judge(session := open_any(SESSION), terms_from_files(session))
+    return list(judgement.samples), list(judgement.verdicts)
 
 
 def test_the_launcher_keeps_no_samples_in_memory() -> None:
@@ -261,7 +261,7 @@ def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]
 
 def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
     """Samples wait until all verdicts before them have come, which may be late."""
-    found = untaught.judged()
+    judgement = untaught.judged()
     samples = untaught.spiked()
     verdicts = list(untaught.judged().verdicts)
     live = Live(LivePlan(Path("rig.yaml")))
@@ -275,8 +275,8 @@ def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
     assert not live.waiting, "the twin is known"
     window, stretches = live.longest(1.0)
     assert (stretches, live.received) == (1, len(samples))
-    assert window.lost == found.stretches[0].lost
-    assert np.array_equal(window.output, found.stretches[0].output)
+    assert window.lost == judgement.stretches[0].lost
+    assert np.array_equal(window.output, judgement.stretches[0].output)
     live.samples.close()
 
 
@@ -287,16 +287,16 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
     holed = [s for s in samples if s.index not in {300, 301, *range(900, 906)}]
     settings = TwinSettings()
     law = None
-    for given in (samples, holed):
+    for received in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
         live.door = Door.of(settings)
-        for sample in given:
+        for sample in received:
             live.take_sample(sample)
         for verdict in verdicts:
             live.verdicts.push(verdict)
-        found = conclude(live.verdicts, lambda live=live: live.longest(1.0), law)
-        expected = summarise(filled_stretches(given, settings), verdicts, law)
-        assert live.received == len(given)
-        assert repr(found) == repr(expected)  # which makes nan equal to nan
+        conclusion = conclude(live.verdicts, lambda live=live: live.longest(1.0), law)
+        expected = summarise(filled_stretches(received, settings), verdicts, law)
+        assert live.received == len(received)
+        assert repr(conclusion) == repr(expected)  # which makes nan equal to nan
         live.samples.close()
     assert conclude(Tally(), lambda: pytest.fail("nobody to hold it against"), law).verdicts == 0

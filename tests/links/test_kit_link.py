@@ -22,18 +22,18 @@ from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilen
 
 @pytest.fixture
 def kit(tmp_path: Path) -> Iterator[BenchKit]:
-    made = BenchKit(tmp_path)
-    yield made
-    made.close()
+    opened = BenchKit(tmp_path)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture
 def link(kit: BenchKit) -> Iterator[KitLink]:
     """Open, with its keeper patient enough for a busy machine."""
-    made = KitLink(kit.port, deadline=3.0)
-    made.open()
-    yield made
-    made.close()
+    opened = KitLink(kit.port, deadline=3.0)
+    opened.open()
+    yield opened
+    opened.close()
 
 
 def off(kit: BenchKit) -> None:

@@ -139,10 +139,10 @@ class RunningDevice:
 
     async def _shutdown(self) -> None:
         await self._server.shutdown()  # type: ignore[no-untyped-call]
-        rest = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in rest:
+        unfinished = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in unfinished:
             task.cancel()
-        await asyncio.gather(*rest, return_exceptions=True)
+        await asyncio.gather(*unfinished, return_exceptions=True)
 
 
 def free_port() -> int:
@@ -162,10 +162,10 @@ def device(oven: ServedOven) -> Iterator[RunningDevice]:
     def make(what: SimDevice, trace: Any) -> ModbusBaseServer:
         return ModbusTcpServer(what, address=("127.0.0.1", port), trace_pdu=trace)
 
-    made = RunningDevice(make, oven.device(), f"modbus://127.0.0.1:{port}/1")
-    yield made
-    made.end()
-    assert made.codes <= {1, 2, 3, 4}  # those that read
+    running = RunningDevice(make, oven.device(), f"modbus://127.0.0.1:{port}/1")
+    yield running
+    running.end()
+    assert running.codes <= {1, 2, 3, 4}  # those that read
 
 
 @pytest.fixture
@@ -189,14 +189,14 @@ def line(oven: ServedOven) -> Iterator[RunningDevice]:
         return ModbusSerialServer(what, port=os.ttyname(their_end), baudrate=115200, trace_pdu=trace)
 
     url = f"modbus+rtu://{os.ttyname(our_end)}?baud=115200&unit=1"
-    made = RunningDevice(make, oven.device(), url)
-    yield made
-    made.end()
+    running = RunningDevice(make, oven.device(), url)
+    yield running
+    running.end()
     os.write(halted, b"\0")
     wire.join()
     for handle in (ours, our_end, theirs, their_end, halt, halted):
         os.close(handle)
-    assert made.codes <= {1, 2, 3, 4}
+    assert running.codes <= {1, 2, 3, 4}
 
 
 @pytest.fixture(scope="module")
@@ -209,8 +209,8 @@ class Listening:
     """A listener on a device, and the samples it has given."""
 
     def __init__(self, url: str, plant: str, places: tuple[str, ...] = PLACES) -> None:
-        said = parse_map(places).joined(SignalMap(plant=plant, period=PERIOD))
-        values, _ = sampler_values(None, said, url)
+        mapped = parse_map(places).joined(SignalMap(plant=plant, period=PERIOD))
+        values, _ = sampler_values(None, mapped, url)
         self.listener: SignalListener = listener_of("sampler", values, time.time_ns)
         opened = source_of(values)
         assert opened is not None
@@ -228,15 +228,15 @@ class Listening:
 
 @pytest.fixture
 def listen(plant: str) -> Iterator[Callable[..., Listening]]:
-    made: list[Listening] = []
+    opened: list[Listening] = []
 
     def start(url: str, *places: str) -> Listening:
-        made.append(Listening(url, plant, places or PLACES))
-        return made[-1]
+        opened.append(Listening(url, plant, places or PLACES))
+        return opened[-1]
 
     yield start
-    for each in made:
-        each.listener.close()
+    for listening in opened:
+        listening.listener.close()
 
 
 def assert_served(samples: list[Sample], oven: ServedOven) -> None:
@@ -277,8 +277,8 @@ def test_a_device_that_is_off_for_a_while_leaves_a_gap_and_is_reported(
     listening = listen(device.url)
     listening.until(lambda: len(listening.samples) > 5, "samples")
     device.end()
-    off = "no connection .*Connection refused"
-    listening.until(lambda: re.search(off, listening.listener.trouble("output")), "what is wrong")
+    no_connection = "no connection .*Connection refused"
+    listening.until(lambda: re.search(no_connection, listening.listener.trouble("output")), "what is wrong")
     assert "holding/0-2" in listening.listener.trouble("output")
     before = len(listening.samples)
     device.start()

@@ -41,9 +41,9 @@ BEGIN = 1_000 * NANOSECONDS
 
 @pytest.fixture(params=KINDS)
 def broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RunningBroker]:
-    made = RunningBroker(tmp_path / "broker", require(request.param))
-    yield made
-    made.close()
+    running = RunningBroker(tmp_path / "broker", require(request.param))
+    yield running
+    running.close()
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +65,9 @@ class InStep:
         mark: Callable[[float], str] | None = repr,
     ) -> None:
         """Wait for the subscription by marks, payloads of the set-point; without any, kept messages do."""
-        given: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
-        given |= {"plant": plant, "period": period, "source": broker.url}
-        values = check("sampler", *understood("sampler", given))
+        parameters: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
+        parameters |= {"plant": plant, "period": period, "source": broker.url}
+        values = check("sampler", *understood("sampler", parameters))
         self.now = BEGIN
         self._step = round(period * NANOSECONDS)
         self.listener: SignalListener = listener_of("sampler", values, lambda: self.now)
@@ -151,9 +151,9 @@ class InStep:
 
 @pytest.fixture
 def stepped(broker: RunningBroker, plant: Path) -> Iterator[InStep]:
-    made = InStep(broker, str(plant), PERIOD, PLACES)
-    yield made
-    made.close()
+    opened = InStep(broker, str(plant), PERIOD, PLACES)
+    yield opened
+    opened.close()
 
 
 def said(wanted: float, reading: float, duty: float) -> dict[str, str | bytes]:
@@ -169,11 +169,11 @@ def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
 ) -> None:
     oven = Oven(PERIOD, HOLD)
     samples = []
-    done = []
+    rows_of_oven = []
     for number in range(3 * HOLD):
-        done.append(oven.step())
-        samples += stepped.tick(number, said(*done[-1]))
-    assert [(s.reference, s.output, s.input) for s in samples] == done
+        rows_of_oven.append(oven.step())
+        samples += stepped.tick(number, said(*rows_of_oven[-1]))
+    assert [(s.reference, s.output, s.input) for s in samples] == rows_of_oven
     assert [s.index for s in samples] == list(range(3 * HOLD))
     twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
     matches = [outcome.match.match for outcome in map(twin.push, samples) if outcome.match is not None]
@@ -190,21 +190,21 @@ def test_a_session_sent_through_a_broker_is_judged_as_it_was_recorded(broker: Ru
     # as they are counted by somebody who begins to listen at the first of them
     served = [replace(sample, index=k) for k, sample in enumerate(session.samples[170:410])]
     for sample in served:
-        told: dict[str, str | bytes] = {
+        payloads: dict[str, str | bytes] = {
             "rig/wanted": repr(sample.reference),
             "rig/plate": json.dumps({"temperature": sample.output}),
             "rig/pwm": repr(sample.input),
         }
-        samples += stepped.tick(sample.index, told)
+        samples += stepped.tick(sample.index, payloads)
     stepped.close()
     settings = terms_from_files(session).settings
     recorded = judge_samples("recorded", served, settings)
     received = judge_samples("received", samples, settings)
     assert received.matches
-    for one, other in zip(
+    for report, report_received in zip(
         (*recorded.matches, *recorded.verdicts), (*received.matches, *received.verdicts), strict=True
     ):
-        assert not list(differences(comparable(tree_of(one)), comparable(tree_of(other))))
+        assert not list(differences(comparable(tree_of(report)), comparable(tree_of(report_received))))
 
 
 def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
@@ -291,10 +291,10 @@ def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None
 def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
     broker.url += "?time=at"
     places = {**PLACES, "reference": "oven/set_point:wanted", "output": "oven/room:t"}
-    at = BEGIN / NANOSECONDS
+    reading_time = BEGIN / NANOSECONDS
 
     def wanted(value: float) -> str:
-        return json.dumps({"wanted": value, "at": at})
+        return json.dumps({"wanted": value, "at": reading_time})
 
     stepped = InStep(broker, str(plant), PERIOD, places, mark=wanted)
 
@@ -305,9 +305,9 @@ def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
             "oven/heater": json.dumps({"duty cycle": 5.0, "at": at}),
         }
 
-    [sample] = stepped.tick(0, told(at))
+    [sample] = stepped.tick(0, told(reading_time))
     assert sample.stamp == BEGIN
-    assert stepped.tick(10, told(at)) == []  # a second later, the same readings
+    assert stepped.tick(10, told(reading_time)) == []  # a second later, the same readings
     stepped.close()
 
 
@@ -343,9 +343,9 @@ def test_a_signal_from_a_filter_is_refused_in_words(place: str) -> None:
 
 @pytest.fixture
 def loose() -> Iterator[LooseBroker]:
-    made = LooseBroker([(b"room/\xff", b"1"), (b"other", b"2"), (b"\xc3\x28", b"3"), (b"room/t", b"21.5")])
-    yield made
-    made.close()
+    running = LooseBroker([(b"room/\xff", b"1"), (b"other", b"2"), (b"\xc3\x28", b"3"), (b"room/t", b"21.5")])
+    yield running
+    running.close()
 
 
 def test_topics_that_are_not_utf_8_are_counted_and_end_nothing(loose: LooseBroker) -> None:

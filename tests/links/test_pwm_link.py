@@ -48,10 +48,10 @@ HASTY = LinkSettings(timeout=1.0, retries=1)
 @pytest.fixture(params=boards.KINDS)
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     """A board whose time passes, at half speed: its deadline is two seconds to a busy machine."""
-    made = boards.make(request.param)
-    made.run(1.0 if request.param == "real" else 0.5)
-    yield made
-    made.close()
+    opened = boards.make(request.param)
+    opened.run(1.0 if request.param == "real" else 0.5)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture
@@ -243,15 +243,15 @@ def sound(request: Request, count: int = 0) -> bytes:
 
 @pytest.fixture
 def impostor() -> Iterator[Callable[[Callable[[Request, int], bytes]], Impostor]]:
-    made: list[Impostor] = []
+    opened: list[Impostor] = []
 
     def make(answer: Callable[[Request, int], bytes]) -> Impostor:
-        made.append(Impostor(answer))
-        return made[-1]
+        opened.append(Impostor(answer))
+        return opened[-1]
 
     yield make
-    for one in made:
-        one.close()
+    for opened_impostor in opened:
+        opened_impostor.close()
 
 
 Make = Callable[[Callable[[Request, int], bytes]], Impostor]

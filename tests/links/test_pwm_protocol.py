@@ -51,8 +51,10 @@ def test_crc_is_the_polynomial_division_it_claims_to_be(data: bytes) -> None:
 def test_whatever_is_sealed_is_read_back_in_any_pieces(payloads: list[str], piece: int) -> None:
     stream = b"".join(map(seal, payloads))
     reader = FrameReader()
-    found = [e for at in range(0, len(stream), piece) for e in reader.feed(stream[at : at + piece])]
-    assert found == [p.encode() for p in payloads]
+    read_back = [
+        e for begin in range(0, len(stream), piece) for e in reader.feed(stream[begin : begin + piece])
+    ]
+    assert read_back == [p.encode() for p in payloads]
 
 
 @pytest.mark.parametrize(

@@ -142,8 +142,8 @@ def test_frames_arrive_with_honest_stamps() -> None:
 
 
 def test_nothing_blocks_without_an_answer_and_it_connects_when_the_server_comes_up_later() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as reserved:
+        port = reserved.getsockname()[1]
     with ThermalClient("127.0.0.1", port, QUICK) as client:
         assert client.newest() is None
         assert client.news() is None
@@ -245,17 +245,17 @@ def test_damage_on_the_wire_never_changes_a_picture_that_is_delivered() -> None:
 
         return script
 
-    seen = set()
+    sequences = set()
     patient = ClientSettings(stall_timeout=5.0, first_wait=0.005, longest_wait=0.005)
     with served(*map(send, scripts), lambda c: c.sendall(frame(999)), settings=patient) as client:
         number = 0
-        while 999 not in seen:
+        while 999 not in sequences:
             received = client.wait(number, PATIENCE)
             assert received is not None, client.status
             number = received.number
             image = received.frame.image
             assert (image == 30000 + received.frame.sequence).all()
-            seen.add(received.frame.sequence)
+            sequences.add(received.frame.sequence)
         # Each connection carried two frames, and at least one of them was damaged.
         assert client.status.frames <= 61
         assert sum(client.status.errors.values()) == 60
@@ -351,9 +351,9 @@ def test_the_quickest_frame_sets_the_offset() -> None:
 def test_never_early_and_late_by_the_shortest_transit(offset: int, transits: list[int]) -> None:
     mapper = StampMapper()
     for i, transit in enumerate(transits):
-        taken = 111 * MS * i
-        mapped = mapper.map(taken, taken + offset + transit)
-        assert mapped - (taken + offset) == min(transits[: i + 1])
+        stamp = 111 * MS * i
+        mapped = mapper.map(stamp, stamp + offset + transit)
+        assert mapped - (stamp + offset) == min(transits[: i + 1])
 
 
 def test_clocks_that_drift_apart_cost_what_they_drift_in_two_stretches() -> None:
@@ -388,19 +388,19 @@ def test_counts_are_kelvin_by_resolution() -> None:
 def test_statistics_of_a_rectangle() -> None:
     counts = np.full((60, 80), 27315)
     counts[10:12, 20:22] = [[30000, 30100], [30200, 30300]]
-    found = region(exposure(counts), Region(10, 20, 2, 2))
+    statistics_of_region = region(exposure(counts), Region(10, 20, 2, 2))
     degrees = [26.85, 27.85, 28.85, 29.85]
-    assert found.mean == pytest.approx(statistics.mean(degrees))
-    assert found.variance == pytest.approx(statistics.pvariance(degrees))
-    assert (found.minimum, found.maximum) == pytest.approx((26.85, 29.85))
-    assert found.spread == pytest.approx(3.0)
-    assert found.pixels == 4
+    assert statistics_of_region.mean == pytest.approx(statistics.mean(degrees))
+    assert statistics_of_region.variance == pytest.approx(statistics.pvariance(degrees))
+    assert (statistics_of_region.minimum, statistics_of_region.maximum) == pytest.approx((26.85, 29.85))
+    assert statistics_of_region.spread == pytest.approx(3.0)
+    assert statistics_of_region.pixels == 4
 
 
 def test_pixels_at_the_ends_of_the_range_do_not_count() -> None:
-    found = region(exposure([[0, 30000], [65535, 30100]]))
-    assert found.pixels == 2
-    assert found.mean == pytest.approx(27.35)
+    statistics_of_region = region(exposure([[0, 30000], [65535, 30100]]))
+    assert statistics_of_region.pixels == 2
+    assert statistics_of_region.mean == pytest.approx(27.35)
 
 
 @given(hnp.arrays(np.uint16, (6, 8), elements=st.integers(1, 65534)), st.data())

@@ -40,24 +40,26 @@ def _reports() -> Iterator[None]:
 @pytest.fixture
 def processes(tmp_path: Path) -> Iterator[Processes]:
     """Processes that end with the test, none of them by a signal that nobody sent."""
-    made = Processes(tmp_path / "output")
-    yield made
-    ended = made.end()
+    started = Processes(tmp_path / "output")
+    yield started
+    ended = started.end()
     assert all(code > 0 or Process.well(code) for code, _ in ended), ended
 
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., Inside]]:
     """Start a program of nodes in this process: `start("matcher", "-p", "seed:=3")`."""
-    made: list[Inside] = []
+    programs: list[Inside] = []
 
     def start_inside(name: str, *ros_arguments: str) -> Inside:
-        made.append(Inside(name, *ros_arguments))
-        return made[-1]
+        programs.append(Inside(name, *ros_arguments))
+        return programs[-1]
 
     yield start_inside
-    asked = [one for one in made if one.asked]
-    assert all(one.end() != EXIT_DEFECT or one in asked for one in reversed(made)), [m.text for m in made]
+    asked = [program for program in programs if program.asked]
+    assert all(program.end() != EXIT_DEFECT or program in asked for program in reversed(programs)), [
+        m.text for m in programs
+    ]
 
 
 @pytest.fixture
@@ -74,21 +76,21 @@ def start_process(processes: Processes) -> Start:
 @pytest.fixture
 def start_script(tmp_path: Path) -> Iterator[Start]:
     """Start a Python program given as text; what nodes need is imported already, unless it is `cold`."""
-    made = Processes(tmp_path / "scripts")
+    started = Processes(tmp_path / "scripts")
     script = tmp_path / "program.py"
 
     def begin(text: str, *, cold: bool = False, environment: Mapping[str, str] | None = None) -> Process:
         script.write_text(text)
-        return made.start(sys.executable, script, forked=not cold, environment=environment)
+        return started.start(sys.executable, script, forked=not cold, environment=environment)
 
     yield begin
-    made.end()
+    started.end()
 
 
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    with listening() as made:
-        yield made
+    with listening() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="session")

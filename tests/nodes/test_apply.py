@@ -91,21 +91,21 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
         ({"proportional": [1e9]}, "pid.proportional is 1000000000.0; allowed: "),
         ({"proportional": [9e3]}, "the plant of its file is not stable (largest eigenvalue "),
     ):
-        said = operator(bench, **law(bench, **fields))
-        assert not said.success, fields
-        assert words in said.message
+        answer = operator(bench, **law(bench, **fields))
+        assert not answer.success, fields
+        assert words in answer.message
     for request in odd_values(ApplyLaw, seed=7, count=60):
-        said = operator(bench, **signed(**fields_of(request)))
-        assert not said.success, request
-        assert "a defect of twinmatch" not in said.message
+        answer = operator(bench, **signed(**fields_of(request)))
+        assert not answer.success, request
+        assert "a defect of twinmatch" not in answer.message
     safe = law(bench)
     for forged in (
         safe | {"signature": ""},
         safe | {"proportional": [9.0]},
         signed("another run's secret", **safe),
     ):
-        said = operator(bench, **forged)
-        assert "lacks the signature of this run's twin" in said.message
+        answer = operator(bench, **forged)
+        assert "lacks the signature of this run's twin" in answer.message
     assert not reports, "the law of the configuration drives"
     assert not operator(bench, back=True).success
     unsafe = law(bench, decision="fails", although=True, request="mine")
@@ -149,17 +149,17 @@ def test_the_twin_answers_before_anything_is_run(start_process: Start, listener:
         (json.dumps(DOCUMENT | {"filter": 2.0}), "has a filter"),
         (json.dumps({"kind": "two-level", "off": 0, "on": 9, "low": 1, "high": 2}), ""),
     ):
-        seen = len(reports)
+        count_before = len(reports)
         assert ask(law=asked).success
-        listener.spin_until(lambda seen=seen: len(reports) > seen, "a report")
+        listener.spin_until(lambda seen=count_before: len(reports) > seen, "a report")
         assert reports[-1].phase_name == "refused"
         assert words in reports[-1].reason
     listener.wait_for_nodes("twin/match", "twin/match_request")
     listener.send(steps)
 
     def answered() -> bool:
-        said = ask(law=text)
-        return bool(said.success) and any(report.phase_name == "answered" for report in reports)
+        answer = ask(law=text)
+        return bool(answer.success) and any(report.phase_name == "answered" for report in reports)
 
     listener.spin_until(answered, "an answer")
     report = next(report for report in reports if report.phase_name == "answered")
@@ -196,17 +196,17 @@ def odd_questions(listener: Listener, laws: list[Any]) -> list[str]:
         (Experiment, "twin/experiment", courses),
         (WhatIf, "twin/what_if", []),
     )
-    said = []
+    replies = []
     for seed, (kind, name, reports) in enumerate(asked):
         ask = Operator(listener, kind, name)
         for request in odd_values(kind, seed, count=40):
-            seen = len(reports)
+            count_before = len(reports)
             answer = ask(**fields_of(request))
-            said.append(answer.message)
+            replies.append(answer.message)
             if answer.success and kind is not WhatIf:
-                listener.spin_until(lambda r=reports, n=seen: len(r) > n, f"a report on {request}")
-                said.append(reports[-1].reason)
-    return [text for text in said if "a defect of twinmatch" in text]
+                listener.spin_until(lambda r=reports, n=count_before: len(r) > n, f"a report on {request}")
+                replies.append(reports[-1].reason)
+    return [text for text in replies if "a defect of twinmatch" in text]
 
 
 def fields_of(request: Any) -> dict[str, Any]:
@@ -234,11 +234,11 @@ def test_a_defect_is_answered_in_a_sentence_and_the_node_continues(
         laws.clear()
         courses.clear()
         what_if, try_law, experiment = asked
-        said = [what_if().message]
+        texts = [what_if().message]
         listener.spin_until(lambda: try_law(law=json.dumps(DOCUMENT)).success, "its turn")
         listener.spin_until(lambda: experiment().success, "its turn")
         listener.spin_until(lambda: laws and courses, "reports")
-        return [*said, laws[0].reason, courses[0].reason]
+        return [*texts, laws[0].reason, courses[0].reason]
 
     with monkeypatch.context() as patch:
         patch.setattr(Snapshot, "outlook", broken)

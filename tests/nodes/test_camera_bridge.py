@@ -36,9 +36,9 @@ def camera(processes: Processes) -> Camera:
     """Start an emulated camera that serves, on a free port or a given one: `camera("--plate", "60")`."""
 
     def start_camera(*arguments: str, port: int = 0) -> CameraProgram:
-        made = CameraProgram(processes, "emulated", *arguments, listen=f"127.0.0.1:{port}")
-        assert made.port
-        return made
+        server = CameraProgram(processes, "emulated", *arguments, listen=f"127.0.0.1:{port}")
+        assert server.port
+        return server
 
     return start_camera
 
@@ -64,8 +64,8 @@ class Ears:
 
     def go_on(self) -> None:
         """Until three more temperatures came."""
-        seen = len(self.temperatures)
-        self.until(lambda: len(self.temperatures) >= seen + 3, "temperatures")
+        count_before = len(self.temperatures)
+        self.until(lambda: len(self.temperatures) >= count_before + 3, "temperatures")
 
     @property
     def warning(self) -> str:
@@ -135,13 +135,13 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
     ears.until(lambda: any(np.isnan(celsius_of(i)).all() for i in ears.degrees), "a closed shutter")
     ears.until(lambda: len(ears.degrees) > 90, "two corrections")
     closed = {stamp_of(i) for i in ears.degrees if np.isnan(celsius_of(i)).all()}
-    told = {stamp_of(message) for message in ears.temperatures}
-    assert not closed & told
+    temperature_stamps = {stamp_of(message) for message in ears.temperatures}
+    assert not closed & temperature_stamps
     assert closed <= {stamp_of(image) for image in ears.raw} | {max(closed)}
-    first = min(told)
-    last = max(told)
+    first = min(temperature_stamps)
+    last = max(temperature_stamps)
     assert any(first < stamp < last for stamp in closed)
-    gaps = np.diff(sorted(told))
+    gaps = np.diff(sorted(temperature_stamps))
     assert gaps.max() > 0.8
     assert int(ears.values["repeated or frozen frames"]) >= 8
 
@@ -154,8 +154,8 @@ def test_a_camera_that_goes_and_comes_back(start: Start, camera: Camera, ears: E
     ears.until(lambda: ears.level == b"\x02" and "is the camera server running" in ears.warning, "the error")
     ears.until(lambda: "no new image for" in ears.warning, "the age")
     silent = len(ears.temperatures)
-    seen = len(ears.health)
-    ears.until(lambda: len(ears.health) > seen + 1, "reports")
+    reports_before = len(ears.health)
+    ears.until(lambda: len(ears.health) > reports_before + 1, "reports")
     assert len(ears.temperatures) == silent
     camera("--plate", "50", port=first.port)
     ears.until(lambda: ears.temperatures[-1].temperature == pytest.approx(50.0, abs=0.6), "the new one")
@@ -257,12 +257,12 @@ def test_rates_can_be_limited(start: Start, camera: Camera, ears: Ears) -> None:
 def test_stamps_are_of_the_simulated_clock(start: Start, camera: Camera, ears: Ears, listener: Any) -> None:
     clock = listener.node.create_publisher(Clock, "/clock", 10)
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "use_sim_time:=true")
-    now = Clock()
-    now.clock.sec = 1234
+    plant_time = Clock()
+    plant_time.clock.sec = 1234
 
     def tick() -> bool:
-        now.clock.nanosec = min(now.clock.nanosec + 1_000_000, 999_999_999)
-        clock.publish(now)
+        plant_time.clock.nanosec = min(plant_time.clock.nanosec + 1_000_000, 999_999_999)
+        clock.publish(plant_time)
         return any(1233.0 < stamp_of(message) <= 1235.0 for message in ears.temperatures)
 
     ears.until(tick, "a stamp in simulated time")
@@ -280,8 +280,8 @@ def test_centikelvin_are_the_counts_of_a_fine_camera() -> None:
 
 def test_a_coarse_camera_is_scaled_but_not_its_ends() -> None:
     """0 and 65535 mean no value, and no value becomes one of them."""
-    found = centikelvin(exposure([[0, 2982, 6600, 65535]], resolution=0.1))
-    assert found.tolist() == [[0, 29820, 65534, 65535]]
+    scaled = centikelvin(exposure([[0, 2982, 6600, 65535]], resolution=0.1))
+    assert scaled.tolist() == [[0, 29820, 65534, 65535]]
 
 
 def test_raw_is_mono16_row_by_row() -> None:
@@ -322,8 +322,8 @@ def test_a_second_ago_is_many_in_a_fast_simulation(speed: float) -> None:
     for tick in range(100):
         wall = tick * SECOND // 10
         ros = 5000 * SECOND + round(wall * speed)
-        found = past.at(wall - SECOND // 100, wall=wall, ros=ros, simulated=True)
-    assert found == pytest.approx(ros - 0.01 * speed * SECOND, abs=1e-6 * SECOND)
+        stamp = past.at(wall - SECOND // 100, wall=wall, ros=ros, simulated=True)
+    assert stamp == pytest.approx(ros - 0.01 * speed * SECOND, abs=1e-6 * SECOND)
 
 
 def test_leaps_of_the_clock_do_not_count_as_pace() -> None:

@@ -57,8 +57,8 @@ def store_of(kind: Any) -> tuple[Any, str]:
 def ends_at(data: bytes, kind: Any) -> int:
     """Where a message ends for that reader."""
     store, name = store_of(kind)
-    known = store.get_msgdef(name)
-    return 4 + known.deserialize_cdr_le(data[4:], 0, known.cls, store)[1]
+    definition = store.get_msgdef(name)
+    return 4 + definition.deserialize_cdr_le(data[4:], 0, definition.cls, store)[1]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

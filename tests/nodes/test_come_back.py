@@ -54,13 +54,13 @@ class Run:
         listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the twin")
         readers = "readers:=twin_simulator discriminator keeper recorder"
         words = (f"session:={session}", "rate:=20.0", readers, "wait_timeout:=60.0")
-        start("player", *(word for given in words for word in ("-p", given)))
+        start("player", *(word for parameter in words for word in ("-p", parameter)))
 
     def record(self) -> None:
         """Start a recorder with a folder of its own."""
         self.folders.append(self._folder / f"recorded_{len(self.folders) + 1}")
-        given = "-p", f"folder:={self._folder}", "-p", f"name:={self.folders[-1].name}"
-        self.recorder = self._start("recorder", *given)
+        arguments = "-p", f"folder:={self._folder}", "-p", f"name:={self.folders[-1].name}"
+        self.recorder = self._start("recorder", *arguments)
 
     def until_state(self, index: int) -> None:
         self.listener.spin_until(lambda: self.states and self.states[-1].index >= index, f"sample {index}")
@@ -71,8 +71,8 @@ class Run:
 
     def readers(self, name: str) -> set[tuple[int, ...]]:
         """Those that read the samples under this name; one that was killed is known for some seconds more."""
-        found = self.listener.node.get_subscriptions_info_by_topic("plant/sample")
-        return {tuple(info.endpoint_gid) for info in found if info.node_name == name}
+        subscriptions = self.listener.node.get_subscriptions_info_by_topic("plant/sample")
+        return {tuple(info.endpoint_gid) for info in subscriptions if info.node_name == name}
 
     def hold_until_back(self, name: str, before: set[tuple[int, ...]]) -> None:
         """Pause the player until a node reads the samples again, however busy the machine is."""
@@ -115,31 +115,33 @@ class Run:
             ),
         )
         for heard, expected in ((self.scores, verdicts), (self.matches, matches)):
-            said = [repr(record_of(message)) for message in heard]
-            assert said == [one for one in expected if one in said]  # in order, and nothing twice
-            assert len(expected) - len(said) <= shots
+            published = [repr(record_of(message)) for message in heard]
+            assert published == [
+                record for record in expected if record in published
+            ]  # in order, and nothing twice
+            assert len(expected) - len(published) <= shots
         last = steps[-1].index
         self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
-        told = [s.index for s in self.states]
+        mirrored = [s.index for s in self.states]
         foretold = [f.sample for f in self.forecasts]
         if shots == 0:
-            assert told == [sample.index for sample in steps]
+            assert mirrored == [sample.index for sample in steps]
             assert foretold == list(range(foretold[0], last + 1))
             return
-        for said in (told, foretold):
-            every = range(said[0], last + 1)
-            assert len(said) - len(set(said)) <= AROUND * shots
-            assert len(set(every) - set(said)) <= AROUND * shots
+        for published in (mirrored, foretold):
+            all_indices = range(published[0], last + 1)
+            assert len(published) - len(set(published)) <= AROUND * shots
+            assert len(set(all_indices) - set(published)) <= AROUND * shots
 
     def verify(self) -> list[Verification]:
         """The folders that can be judged: a recorder killed soon after its start may lack what that takes."""
         self.listener.spin_until(lambda: self.listener.said("ended: all"), "the player's end")
         self.recorder.end()
-        found = []
+        verifications = []
         for folder in self.folders[:-1]:
             with suppress(SessionError, VerifyError, TermsError):
-                found.append(verify_session(folder))
-        return [*found, verify_session(self.folders[-1])]
+                verifications.append(verify_session(folder))
+        return [*verifications, verify_session(self.folders[-1])]
 
 
 @pytest.fixture
@@ -155,7 +157,7 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
 ) -> None:
     """Every session of a killed recorder verifies from its beginning; the last one has everything."""
     played = steps[:LENGTH]
-    said = offline[:LENGTH]
+    outcomes = offline[:LENGTH]
     run = begin(played)
     for index in sorted(TWIN_KILLED + RECORDER_KILLED):
         run.until_state(index)
@@ -163,7 +165,7 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
         if index in TWIN_KILLED:
             # what it sent more than a second ago has arrived, on a busy machine too
             wait_for_recorded(
-                run.folders[-1], twin__model_score=sum(len(o.verdicts) for o in said[: index - AROUND])
+                run.folders[-1], twin__model_score=sum(len(o.verdicts) for o in outcomes[: index - AROUND])
             )
             run.shoot()
             continue
@@ -172,10 +174,10 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
         run.until_state(index + 20)
         run.hold_until_back("recorder", before)
     run.hold_until_back("discriminator", before)
-    run.check(played, said, shots=len(TWIN_KILLED))
-    found = run.verify()
-    assert [one.difference for one in found] == [None] * len(found)
-    assert found[-1].verdicts == sum(len(outcome.verdicts) for outcome in said)
+    run.check(played, outcomes, shots=len(TWIN_KILLED))
+    verifications = run.verify()
+    assert [verification.difference for verification in verifications] == [None] * len(verifications)
+    assert verifications[-1].verdicts == sum(len(outcome.verdicts) for outcome in outcomes)
     assert read_session(run.folders[-1]).samples == played
 
 
@@ -188,5 +190,5 @@ def test_a_twin_that_stood_still_is_given_what_it_missed(
     run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
     run.stand_still(10.0)
     run.check(steps[:600], offline[:600])
-    (found,) = run.verify()
-    assert found.identical, found.difference
+    (verification,) = run.verify()
+    assert verification.identical, verification.difference

@@ -63,8 +63,8 @@ class Bench:
         """What the controller answers to a parameter that is set."""
         client = self.listener.node.create_client(SetParameters, "controller/set_parameters")
         self.feed(client.service_is_ready, "the service")
-        given = RosParameter(name, value=value).to_parameter_msg()
-        answer = client.call_async(SetParameters.Request(parameters=[given]))
+        parameter = RosParameter(name, value=value).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[parameter]))
         self.feed(answer.done, "the answer")
         return answer.result().results[0]
 
@@ -144,9 +144,9 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: St
     assert len(bench.samples) == many
     bench.temperature = 25.0
     bench.feed(lambda: len(bench.samples) > many + 5, "samples again")
-    again = sample_from(bench.samples[many])
-    assert again.index > ended + 1  # a gap: nothing was made up for the time without temperatures
-    assert again.input == pytest.approx(0.0, abs=1e-9)
+    restarted = sample_from(bench.samples[many])
+    assert restarted.index > ended + 1  # a gap: nothing was made up for the time without temperatures
+    assert restarted.input == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_drive_that_a_fault_holds_at_rest_is_not_said_to_be_driven(start: Start, bench: Bench) -> None:
@@ -302,13 +302,13 @@ def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
         "controller", "-p", "use_sim_time:=true", "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[5.0]"
     )
     bench.listener.spin_until(clock.get_subscription_count, "the controller")
-    now = 10_000_000_000
+    plant_time = 10_000_000_000
 
     def advance() -> None:
-        nonlocal now
-        now += 200_000_000
+        nonlocal plant_time
+        plant_time += 200_000_000
         message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(now, 1_000_000_000)
+        message.clock.sec, message.clock.nanosec = divmod(plant_time, 1_000_000_000)
         clock.publish(message)
         time.sleep(0.01)
 
@@ -320,8 +320,8 @@ def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
     indices = [m.index for m in bench.samples]
     assert indices == sorted(set(indices))
     stamps = [sample_from(m).stamp for m in bench.samples]
-    for (i, at), (j, later) in pairwise(zip(indices, stamps, strict=True)):
-        assert (later - at) / 1e9 == pytest.approx(j - i, abs=0.99)
+    for (i, stamp), (j, later) in pairwise(zip(indices, stamps, strict=True)):
+        assert (later - stamp) / 1e9 == pytest.approx(j - i, abs=0.99)
     bench.pass_time(1.0)  # for what is still on its way
     heard = len(bench.commands), len(bench.samples)
     bench.pass_time(1.0)
@@ -336,11 +336,11 @@ def test_two_loops_have_two_set_points_and_one_message(start: Start, listener: L
     wishes = listener.node.create_publisher(Float64MultiArray, "plant/reference", LATCHED)
     wishes.publish(Float64MultiArray(data=[40.0, 30.0]))
     start("controller", *FAST, "-p", "plant:=tclab-both", "-p", "reference_source:=topic")
-    seen = [25.0, 24.0]
+    temperatures = [25.0, 24.0]
 
     def fed(condition: Callable[[], Any], what: str) -> None:
         def look() -> Any:
-            readings.publish(PlantReading(output=seen))
+            readings.publish(PlantReading(output=temperatures))
             return condition()
 
         listener.spin_until(look, what)
@@ -350,16 +350,16 @@ def test_two_loops_have_two_set_points_and_one_message(start: Start, listener: L
     assert (sample.references, sample.outputs, sample.disturbances) == ((40.0, 30.0), (25.0, 24.0), ())
     assert all(u > 0 for u in sample.inputs)
     assert len(commands[-1].input) == 2
-    for wrong, said in (
+    for wrong, refusal in (
         ([45.0], "1 set-points refused; give one of each output: temperature, second_temperature"),
         ([45.0, 90.0], "set-point 90 °C refused; the safe range is 0 to 75 °C"),
         ([math.nan, 30.0], "set-point nan °C refused"),
     ):
         wishes.publish(Float64MultiArray(data=wrong))
-        fed(lambda said=said: listener.said(said), "the refusal")
+        fed(lambda said=refusal: listener.said(said), "the refusal")
     assert list(samples[-1].reference) == [40.0, 30.0]
-    seen[:] = [25.0, math.nan]
+    temperatures[:] = [25.0, math.nan]
     fed(lambda: list(commands[-1].input) == [0.0, 0.0], "rest")
-    seen[:] = [25.0]
+    temperatures[:] = [25.0]
     fed(lambda: listener.said("output has 1 values for the plant's outputs; expected 2"), "the refusal")
     assert list(commands[-1].input) == [0.0, 0.0]

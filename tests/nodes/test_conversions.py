@@ -156,9 +156,9 @@ def test_match(report: MatchReport, stamp: int) -> None:
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.status_name == report.match.status.value
     assert len(message.standard_errors) == len(report.match.free)
-    found = record_of(message)
-    assert repr(found[:2]) == repr(report[:2])
-    same(found.match, report.match)
+    converted = record_of(message)
+    assert repr(converted[:2]) == repr(report[:2])
+    same(converted.match, report.match)
 
 
 @st.composite
@@ -183,9 +183,9 @@ def requests(draw: st.DrawFn) -> MatchRequest:
 def test_request(request: MatchRequest, stamp: int) -> None:
     message = there_and_back(request_message(request, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
-    found = request_from(message)
-    same(found.window, request.window)
-    assert repr(found._replace(window=None)) == repr(request._replace(window=None))
+    converted = request_from(message)
+    same(converted.window, request.window)
+    assert repr(converted._replace(window=None)) == repr(request._replace(window=None))
 
 
 @st.composite
@@ -253,8 +253,8 @@ def test_state(state: MirrorState) -> None:
     for field in dataclasses.fields(state):
         value = getattr(state, field.name)
         if field.name.endswith("_states"):
-            held = [value.get(name, math.nan) for name in NAMES]
-            assert repr(list(getattr(message, field.name))) == repr(held)
+            values = [value.get(name, math.nan) for name in NAMES]
+            assert repr(list(getattr(message, field.name))) == repr(values)
         elif field.name != "sample":
             assert repr(tuple(getattr(message, field.name))) == repr(value)
 

@@ -87,23 +87,23 @@ def test_watch_of_gaps_and_silence() -> None:
 
 
 def test_worker_keeps_the_order() -> None:
-    done: list[int] = []
-    worker = Worker(done.append, NodeHealth())
+    handled: list[int] = []
+    worker = Worker(handled.append, NodeHealth())
     for number in range(1000):
         worker.put(number)
-    wait_for(lambda: len(done) == 1000, "the end of the work")
+    wait_for(lambda: len(handled) == 1000, "the end of the work")
     assert worker.close()
-    assert done == list(range(1000))
+    assert handled == list(range(1000))
 
 
 def test_worker_reports_errors_of_the_outside_and_continues() -> None:
     health = NodeHealth()
-    done: list[int] = []
+    handled: list[int] = []
 
     def handle(number: int) -> None:
         if number == 0:
             raise TwinmatchError("zero is not a share")
-        done.append(number)
+        handled.append(number)
 
     worker = Worker(handle, health)
     worker.put(0)
@@ -113,7 +113,7 @@ def test_worker_reports_errors_of_the_outside_and_continues() -> None:
     wait_for(lambda: health.report().level is Level.OK, "the end of the work")
     assert worker.failure is None
     assert worker.close()
-    assert done == [1]
+    assert handled == [1]
     assert health.report().values["errors"] == "1"
 
 

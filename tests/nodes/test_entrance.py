@@ -57,7 +57,7 @@ pytestmark = pytest.mark.ros
 
 
 def sound_match() -> messages.Match:
-    found = Match(
+    match = Match(
         parameters=Peltier.model().parameters(),
         free=("seebeck", "conductance"),
         starts={},
@@ -75,7 +75,7 @@ def sound_match() -> messages.Match:
         directions=np.eye(2),
         intervals=np.array([[0.0, 1.0], [0.0, 1.0]]),
     )
-    return message_of(MatchReport(320, 40.0, found), 0)
+    return message_of(MatchReport(320, 40.0, match), 0)
 
 
 def sound_score() -> messages.ModelScore:
@@ -171,14 +171,14 @@ class Publishers:
 
 def passed(course: Course, *indices: int) -> list[int]:
     """Those of the samples, one a second, that follow."""
-    found = []
+    followed = []
     for index in indices:
         try:
             course.follow(at(index, index), time.monotonic())
         except MessageError:
             continue
-        found.append(index)
-    return found
+        followed.append(index)
+    return followed
 
 
 @pytest.fixture
@@ -236,19 +236,19 @@ class ClockCourse(Course):
         self._several = True
 
     def seen(self) -> bool:
-        seen = self._several
+        were_several = self._several
         self._several = len(self.others.there) > 1
-        return seen
+        return were_several
 
     def passed(self, *times: float) -> list[float]:
         """Those of the times that follow."""
-        found = []
+        followed = []
         for seconds in times:
             self.now += 0.05
             with suppress(MessageError):
                 self.follow(time_of(seconds), self.now)
-                found.append(seconds)
-        return found
+                followed.append(seconds)
+        return followed
 
 
 FAR = 2e9
@@ -297,23 +297,23 @@ def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: List
     (node,) = start("twin_simulator", "-p", "use_sim_time:=true").nodes
     owner = listener.node.create_publisher(Clock, "/clock", 10)
     listener.spin_until(owner.get_subscription_count, "the simulator")
-    told = 10.0
+    owner_time = 10.0
 
     def goes_on() -> None:
         """Time continues, and is that of the owner."""
-        nonlocal told
-        told += 1.0
+        nonlocal owner_time
+        owner_time += 1.0
         wait_for(
-            lambda: heard() == told,
-            lambda: f"{told} s, not {heard()}",
-            meanwhile=lambda: (owner.publish(time_of(told)), listener.spin_once()),
+            lambda: heard() == owner_time,
+            lambda: f"{owner_time} s, not {heard()}",
+            meanwhile=lambda: (owner.publish(time_of(owner_time)), listener.spin_once()),
         )
 
     def heard() -> float:
         return node.get_clock().now().nanoseconds / 1e9
 
     def refused() -> int:
-        assert heard() <= told
+        assert heard() <= owner_time
         return int(node.health.report().values.get("refused: /clock", "0"))
 
     goes_on()
@@ -391,15 +391,15 @@ MALFORMED = int(os.environ.get("TWINMATCH_FUZZ", "300"))
 @pytest.fixture
 def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> Iterator[Inside]:
     name = request.param
-    own = {
+    own_arguments = {
         "recorder": ("-p", f"folder:={tmp_path}"),
         "player": ("-p", f"session:={session}", "-p", "wait_timeout:=3600.0"),
     }
-    arguments = (*PROGRAMS[name], "-p", "use_sim_time:=true", *own.get(name, ()))
-    made = Inside(name, *arguments, kinds=KINDS[name]() if name in KINDS else ())
-    launchers = [node.supervised for node in made.nodes if isinstance(node, Watch)]
-    yield made
-    made.end()
+    arguments = (*PROGRAMS[name], "-p", "use_sim_time:=true", *own_arguments.get(name, ()))
+    inside = Inside(name, *arguments, kinds=KINDS[name]() if name in KINDS else ())
+    launchers = [node.supervised for node in inside.nodes if isinstance(node, Watch)]
+    yield inside
+    inside.end()
     for run in launchers:
         run._live.samples.close()
 
@@ -412,8 +412,8 @@ def receiving(program: Inside) -> dict[str, Any]:
 
 def serving(program: Inside) -> dict[str, Any]:
     """The types of all services that its nodes offer."""
-    found = {one.service_name: one.srv_type for node in program.nodes for one in node.services}
-    return {name: kind for name, kind in found.items() if OF_RCLPY not in name}
+    kinds = {service.service_name: service.srv_type for node in program.nodes for service in node.services}
+    return {name: kind for name, kind in kinds.items() if OF_RCLPY not in name}
 
 
 class Beside:
@@ -451,8 +451,10 @@ class Beside:
 
     def end(self) -> None:
         """End the program, which has said what it refused."""
-        told = {k for node in self._program.nodes for k in node.health.report().values if "refused" in k}
-        assert len(told) >= len(self.topics)
+        refusal_counters = {
+            k for node in self._program.nodes for k in node.health.report().values if "refused" in k
+        }
+        assert len(refusal_counters) >= len(self.topics)
         assert all(len(node.entrance._told) <= MAX_KINDS for node in self._program.nodes)
         assert self._program.end() == 0, self._program.text
 
@@ -507,12 +509,12 @@ def test_a_refusal_is_reported_once_with_its_sender(
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     for _ in range(3):
         listener.samples.publish(messages.LoopSample())
-    said = "plant/sample: sample 0 has 0 references, 0 outputs and 0 inputs"
-    listener.spin_until(lambda: listener.said(said), "the refusal")
+    refusal = "plant/sample: sample 0 has 0 references, 0 outputs and 0 inputs"
+    listener.spin_until(lambda: listener.said(refusal), "the refusal")
     listener.spin_until(lambda: "3" in listener.values("refused: plant/sample"), "the count")
     listener.spin_until(lambda: listener.said("(published by listener)"), "its sender")
-    told = [s.message for s in listener.reports("twin_simulator: health") if said in s.message]
-    assert {message.count(said) for message in told} == {1}
+    reported = [s.message for s in listener.reports("twin_simulator: health") if refusal in s.message]
+    assert {message.count(refusal) for message in reported} == {1}
     listener.send(steps[:3])
     listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
 
@@ -524,8 +526,8 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     assert not listener.health
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    others = [Node(f"other_{k}", context=listener.node.context) for k in range(MAX_NAMES)]
-    for node in others:
+    other_nodes = [Node(f"other_{k}", context=listener.node.context) for k in range(MAX_NAMES)]
+    for node in other_nodes:
         node.create_publisher(messages.LoopSample, "plant/sample", 10)
     many = MAX_NAMES + 1
     listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
@@ -536,9 +538,9 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     listener.spin_until(
         lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
     )
-    told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
-    assert max(told) == MAX_REASONS
-    for node in others:
+    kinds_told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
+    assert max(kinds_told) == MAX_REASONS
+    for node in other_nodes:
         node.destroy_node()
 
 
@@ -581,8 +583,8 @@ def test_a_flood_of_sound_messages_is_not_queued(
 
     def counted() -> bool:
         assert twin.running, twin.text
-        found = {name: nodes[name].health.report().values.get(key, "0") for name, key in counts.items()}
-        return int(found["discriminator"]) == 1000 and int(found["matcher"]) == 1000 - MAX_WAITING
+        dropped = {name: nodes[name].health.report().values.get(key, "0") for name, key in counts.items()}
+        return int(dropped["discriminator"]) == 1000 and int(dropped["matcher"]) == 1000 - MAX_WAITING
 
     listener.spin_until(counted, lambda: str([node.health.report() for node in twin.nodes]))
     assert nodes["discriminator"].worker.depth == 0
@@ -613,47 +615,52 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
 ) -> None:
     """The recorder has not loaded it, and receives it live or from the keeper. A message of a plant that it
     has loaded is refused if it cannot be read."""
-    said = {"twin/match": sound_match(), "twin/model_score": sound_score()}
+    published = {"twin/match": sound_match(), "twin/model_score": sound_score()}
     if not late:
-        said |= {"twin/match_request": sound_request(1), "twin/leader": said["twin/model_score"].forecasts[0]}
-    said = {topic: of_plant("of_nobody_here", message) for topic, message in said.items()}
+        published |= {
+            "twin/match_request": sound_request(1),
+            "twin/leader": published["twin/model_score"].forecasts[0],
+        }
+    published = {topic: of_plant("of_nobody_here", message) for topic, message in published.items()}
     make = listener.node.create_publisher
-    writers = {topic: make(type(message), topic, EVERYTHING) for topic, message in said.items()}
+    writers = {topic: make(type(message), topic, EVERYTHING) for topic, message in published.items()}
     publishers = (*writers.values(), listener.samples)
     assert not listener.health
     arguments = "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"
     reader = start("rig") if late else start("recorder", *arguments)
 
     def refused() -> set[tuple[str, str]]:
-        told = [
+        entries = [
             v
             for name in ("keeper", "recorder")
             for s in listener.reports(f"{name}: health")
             for v in s.values
         ]
-        return {(v.key.replace(" /", " "), v.value) for v in told if v.key.startswith("refused: ")}
+        return {(v.key.replace(" /", " "), v.value) for v in entries if v.key.startswith("refused: ")}
 
-    listener.spin_until(lambda: all(one.get_subscription_count() for one in publishers), "a reader")
+    listener.spin_until(
+        lambda: all(publisher.get_subscription_count() for publisher in publishers), "a reader"
+    )
     unreadable = sound_match()
     unreadable.parameters.values = [-1.0] * len(unreadable.parameters.values)
     writers["twin/match"].publish(unreadable)
     listener.send(steps[:330])
     for topic, writer in writers.items():
-        writer.publish(said[topic])
+        writer.publish(published[topic])
     listener.spin_until(refused, "the refusal")
     if late:
-        kept = next(node for node in reader.nodes if node.NAME == "keeper")
-        listener.spin_until(lambda: all(map(len, kept._store.messages.values())), "the keeper")
+        keeper = next(node for node in reader.nodes if node.NAME == "keeper")
+        listener.spin_until(lambda: all(map(len, keeper._store.messages.values())), "the keeper")
         before = listener.samples.get_subscription_count()
         start("recorder", *arguments)
         listener.spin_until(lambda: listener.samples.get_subscription_count() > before, "the recorder")
     listener.send(steps[330:331])
-    counts = {topic.replace("/", "__"): 1 for topic in said}
+    counts = {topic.replace("/", "__"): 1 for topic in published}
     wait_for_recorded(tmp_path / "run", plant__sample=331, **counts)
     assert refused() == {("refused: twin/match", "1")}
-    found = read_session(tmp_path / "run")
-    for topic, message in said.items():
-        (recorded,) = found.messages([f"/{topic}"])
+    session = read_session(tmp_path / "run")
+    for topic, message in published.items():
+        (recorded,) = session.messages([f"/{topic}"])
         assert repr(deserialize_message(recorded.data, type(message))) == repr(message)
 
 

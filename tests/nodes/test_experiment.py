@@ -56,13 +56,13 @@ class Desk:
 
     def begin(self, reports: list[Any], before: float) -> None:
         """Begin one, which the controller follows and which ends at the set-point before it."""
-        seen = len(reports)
-        said = self.ask(goal="parameters", run=True, request="mine")
-        assert said.success, said.message
+        count_before = len(reports)
+        answer = self.ask(goal="parameters", run=True, request="mine")
+        assert answer.success, answer.message
         for asked in ({"run": True}, {}):
             assert self.ask(**asked).message.startswith("an experiment runs, or is being sought")
         assert self.law().message.startswith("an experiment runs, or is being sought")
-        running = lambda: [r for r in reports[seen:] if r.phase_name == "running"]  # noqa: E731
+        running = lambda: [r for r in reports[count_before:] if r.phase_name == "running"]  # noqa: E731
         self._listener.spin_until(running, "its start")
         report = running()[0]
         course = [list(report.levels), list(report.holds), True]
@@ -104,7 +104,7 @@ def test_the_controller_follows_a_course_and_returns_to_the_set_point_before(
     assert desk.ask(within=[1.0]).message.startswith("within has 1 values")
     assert desk.ask(stop=True).message == "no experiment runs"
     start("controller", "-p", f"profile.levels:={LEVELS}", "-p", "profile.holds:=[100.0, 200.0]")
-    own = desk.profile()
+    own_profile = desk.profile()
     listener.wait_for_nodes("twin/match", "twin/match_request")
     listener.send(steps)
     listener.spin_until(lambda: verdicts and verdicts[-1].sample > steps[-1].index - 60, "the last verdict")
@@ -114,10 +114,10 @@ def test_the_controller_follows_a_course_and_returns_to_the_set_point_before(
     listener.spin_until(lambda: reports[-1].phase_name == "ended", "its end")
     assert "stopped by the operator" in reports[-1].reason
     assert desk.course() == [[before], [1.0], True], "the set-point is where it was, and stays there"
-    assert desk.profile() == own
-    seen = len(reports)
+    assert desk.profile() == own_profile
+    count_before = len(reports)
     asking = Inside("experiment", "-p", "goal:=parameters", "-p", "run:=true", kinds=[ExperimentAsking])
-    listener.spin_until(lambda: [r for r in reports[seen:] if r.phase_name == "running"], "its start")
+    listener.spin_until(lambda: [r for r in reports[count_before:] if r.phase_name == "running"], "its start")
     report = reports[-1]
     listener.spin_until(lambda: desk.course()[0] == list(report.levels), "the controller")
     assert report.levels[-1] == before
@@ -129,4 +129,4 @@ def test_the_controller_follows_a_course_and_returns_to_the_set_point_before(
     assert desk.read("course.followed") == [True]
     assert Inside("experiment", kinds=[ProfileAsking]).wait() == 0
     assert desk.read("course.followed") == [False]
-    assert desk.profile() == own
+    assert desk.profile() == own_profile

@@ -127,19 +127,19 @@ def test_every_sample_has_the_offline_forecast(
     question = Question((20.0, 100.0), (level, level - 8.0), ramps=True, horizon=200.0, tolerance=1.5)
     outlook = offline.discriminator.forecaster.outlook()
     expected = answer_message(what_if(outlook, question), steps[-1].stamp)
-    given = ask(times=[20.0, 100.0], levels=[level, level - 8.0], ramps=True, horizon=200.0, tolerance=[1.5])
-    assert repr(given) == repr(expected)
-    assert (given.forecast.sample, len(given.forecast.time)) == (steps[-1].index, 200)
+    answer = ask(times=[20.0, 100.0], levels=[level, level - 8.0], ramps=True, horizon=200.0, tolerance=[1.5])
+    assert repr(answer) == repr(expected)
+    assert (answer.forecast.sample, len(answer.forecast.time)) == (steps[-1].index, 200)
     nothing_changed = ask()
     assert nothing_changed.success
     assert list(nothing_changed.level) == [steps[-1].reference]
     assert set(nothing_changed.forecast.reference) == {steps[-1].reference}
     # What went wrong with a question is not a fault of the node, and the next one is answered.
-    for said, fields in REFUSED.items():
-        given = ask(**fields)
-        assert not given.success, fields
-        assert said in given.message
-        assert "\n" not in given.message
+    for refusal, fields in REFUSED.items():
+        answer = ask(**fields)
+        assert not answer.success, fields
+        assert refusal in answer.message
+        assert "\n" not in answer.message
     named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
     assert named.success, named.message
     listener.spin_until(lambda: listener.values("forecast from sample"), "word of forecasts")
@@ -166,11 +166,11 @@ def test_questions_are_answered_while_a_match_is_awaited(
         lambda: len({request.sample for request in requests}) > len({m.sample for m in matches}),
         "a request without an answer",
     )
-    given = listener.spin_until(lambda: _answered(ask()), "an answer")
+    answer = listener.spin_until(lambda: _answered(ask()), "an answer")
     waits = max(request.sample for request in requests)
-    assert first <= given.forecast.sample <= waits
+    assert first <= answer.forecast.sample <= waits
     assert len(matches) == answered
-    assert given.forecast.output_low[0] < given.forecast.output[0] < given.forecast.output_high[0]
+    assert answer.forecast.output_low[0] < answer.forecast.output[0] < answer.forecast.output_high[0]
 
 
 @pytest.mark.parametrize(

@@ -65,9 +65,9 @@ def test_both_profiles_say_the_same() -> None:
     second, third = (path.read_text().splitlines() for path in PROFILES.values())
     assert len(second) == len(third)
     changed = [(a, b) for a, b in zip(second, third, strict=True) if a != b]
-    told, heartbeat = changed
-    assert "For Fast DDS 2" in told[0]
-    assert "For Fast DDS 3" in told[1]
+    sentence, heartbeat = changed
+    assert "For Fast DDS 2" in sentence[0]
+    assert "For Fast DDS 3" in sentence[1]
     assert heartbeat[0].replace("heartbeatPeriod", "heartbeat_period") == heartbeat[1]
 
 
@@ -79,11 +79,11 @@ def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.M
         prepare(environment)
     assert LEASE not in os.environ
     for name, profile in PROFILES.items():
-        made = Path(environment[name])
-        assert made.is_relative_to(tmp_path)
-        found = made.read_text()
+        path = Path(environment[name])
+        assert path.is_relative_to(tmp_path)
+        written = path.read_text()
         text = profile.read_text()
-        assert found == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<") != text
+        assert written == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<") != text
     with pytest.raises(NetworkError, match="is 'long'; give whole seconds"):
         prepare({"AMENT_PREFIX_PATH": "/nowhere", LEASE: "long"})
 
@@ -127,27 +127,27 @@ def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
 )
 def test_whose_sockets_are_elsewhere(family: int, address: str, shown: str | None) -> None:
     before = set(sockets_elsewhere())
-    with socket.socket(family, socket.SOCK_DGRAM) as held:
+    with socket.socket(family, socket.SOCK_DGRAM) as bound:
         try:
-            held.bind((address, 0))
+            bound.bind((address, 0))
         except OSError as error:
             pytest.skip(f"no {address} on this machine: {error}")
-        found = set(sockets_elsewhere()) - before
-        assert found == ({f"{shown}:{held.getsockname()[1]}"} if shown else set())
+        elsewhere = set(sockets_elsewhere()) - before
+        assert elsewhere == ({f"{shown}:{bound.getsockname()[1]}"} if shown else set())
 
 
 def test_only_listening_tcp_sockets_count() -> None:
     before = set(sockets_elsewhere())
-    with socket.socket() as held:
-        held.bind(("0.0.0.0", 0))
+    with socket.socket() as bound:
+        bound.bind(("0.0.0.0", 0))
         assert set(sockets_elsewhere()) == before
-        held.listen()
-        assert set(sockets_elsewhere()) - before == {f"tcp 0.0.0.0:{held.getsockname()[1]}"}
+        bound.listen()
+        assert set(sockets_elsewhere()) - before == {f"tcp 0.0.0.0:{bound.getsockname()[1]}"}
 
 
 def test_udp_sockets_elsewhere_are_refused() -> None:
-    with socket.socket(type=socket.SOCK_DGRAM) as held:
-        held.bind(("0.0.0.0", 0))
+    with socket.socket(type=socket.SOCK_DGRAM) as bound:
+        bound.bind(("0.0.0.0", 0))
         with pytest.raises(NetworkError, match=r"bound to udp 0\.0\.0\.0"):
             check_sockets()
 
@@ -180,7 +180,7 @@ def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
     start: list[str], network: str
 ) -> None:
     wrong = {"RMW_IMPLEMENTATION": "rmw_gone_cpp", "TWINMATCH_NETWORK": network}
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, *start],
         cwd=Path(__file__).resolve().parents[2],
         env=os.environ | wrong,
@@ -189,10 +189,11 @@ def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
         check=False,
         timeout=360,
     )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
+    assert completed.returncode == 2
+    assert completed.stderr.count("\n") == 1
     assert (
-        "RMW_IMPLEMENTATION is 'rmw_gone_cpp', which is not installed (installed: rmw_fastrtps" in done.stderr
+        "RMW_IMPLEMENTATION is 'rmw_gone_cpp', which is not installed (installed: rmw_fastrtps"
+        in completed.stderr
     )
 
 

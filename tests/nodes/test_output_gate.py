@@ -32,7 +32,7 @@ class Clocks:
         """Let the clocks continue by so many seconds; all alike if only one number is given."""
         moves = (stamps, stamps if plant is None else plant, stamps if wall is None else wall)
         self.times = ClockTimes(
-            *(now + round(by * SECOND) for now, by in zip(self.times, moves, strict=True))
+            *(reading + round(seconds * SECOND) for reading, seconds in zip(self.times, moves, strict=True))
         )
 
     @property
@@ -176,7 +176,7 @@ def armed_pair() -> tuple[Clocks, OutputGate]:
     """The gate of two drives, of which nothing is known but their names."""
     clocks = Clocks()
     limits = (GuardLimits(thing="left plate"), GuardLimits(thing="right plate"))
-    gate = OutputGate(clocks, [OutputGuard(each) for each in limits])
+    gate = OutputGate(clocks, [OutputGuard(limits_of_drive) for limits_of_drive in limits])
     gate.decide()
     clocks.step(0.1)
     gate.command((120.0, 80.0), 7, clocks.stamp)
@@ -231,17 +231,17 @@ def test_a_limit_is_that_of_its_drive() -> None:
     """Sensor 2 stays cold while heater 2 is at full power; heater 1 keeps its command."""
     clocks = Clocks()
     gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
-    passed = []
+    applied = []
     for second in range(200):
         gate.command((10.0, 100.0), second, clocks.stamp)
         gate.temperature((25.0 + 0.02 * second, 25.0), clocks.stamp)
         gate.sample((30.0, 30.0), (25.0, 25.0), (10.0, 0.0))
-        passed.append(gate.decide().inputs)
+        applied.append(gate.decide().inputs)
         clocks.step(1.0)
         if gate.fault is not None:
             break
     assert gate.fault is not None
     assert gate.fault.kind is FaultKind.LIMITED
     assert "the second heater is at" in gate.fault.message
-    assert passed[-1][0] == 10.0
-    assert 0.0 < passed[-1][1] < 100.0
+    assert applied[-1][0] == 10.0
+    assert 0.0 < applied[-1][1] < 100.0

@@ -157,8 +157,8 @@ def test_section_is_what_its_table_renders(name: str, section: str) -> None:
 
 def test_the_kits_controller_differs_in_its_profile_alone() -> None:
     table = controller_table(TCLab)
-    given = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
-    values = check("controller", table, given)
+    file_values = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
+    values = check("controller", table, file_values)
     usual = check("controller", table, {})
     assert profiles_from(values) is not None
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
@@ -169,9 +169,9 @@ BOTH = (CONFIG / "tclab_both.yaml").read_text("utf-8")
 
 def test_the_file_of_both_heaters_says_all_of_the_controller_and_of_the_bridge_which() -> None:
     table = controller_table(TCLabBoth)
-    given = yaml.safe_load(BOTH)
+    sections = yaml.safe_load(BOTH)
     profile = {
-        name: given["controller"]["ros__parameters"][name] for name in ("profile.levels", "profile.holds")
+        name: sections["controller"]["ros__parameters"][name] for name in ("profile.levels", "profile.holds")
     }
     assert render("controller", table, profile) in BOTH
     first, second = profiles_from(check("controller", table, profile)) or ()
@@ -180,7 +180,7 @@ def test_the_file_of_both_heaters_says_all_of_the_controller_and_of_the_bridge_w
         (50, 35),
         (50, 45),
     ]
-    assert check("tclab_bridge", TCLabBridge.PARAMETERS, given["tclab_bridge"]["ros__parameters"])
+    assert check("tclab_bridge", TCLabBridge.PARAMETERS, sections["tclab_bridge"]["ros__parameters"])
 
 
 @pytest.mark.parametrize(
@@ -301,8 +301,8 @@ def test_a_plant_in_a_file_is_run_for_a_configuration_and_not_for_a_recording(tm
     settings = read_settings(twin_file(tmp_path, f'plant: "{path}"'))
     assert settings.plant.name == "block_configured"
     assert settings.law is None
-    again = recorded_values("session", {"plant": f"/elsewhere/{path.name}", "loop": "unknown"})
-    assert settings_from(again) == settings
+    values_again = recorded_values("session", {"plant": f"/elsewhere/{path.name}", "loop": "unknown"})
+    assert settings_from(values_again) == settings
     assert values_of(settings)["plant"] == str(path)
     with pytest.raises(ParameterError, match="is for plant block_configured, but the data are of"):
         read_settings(twin_file(tmp_path, f'plant: "{path}"'), "peltier")
@@ -315,11 +315,11 @@ def test_the_defaults_are_those_of_the_guard(kind: Any) -> None:
 
 
 def test_each_limit_has_its_parameter() -> None:
-    given = {"command_timeout": 0.5, "temperature_timeout": 2.0, "highest": 90.0, "lowest": 5.0}
+    guard_values = {"command_timeout": 0.5, "temperature_timeout": 2.0, "highest": 90.0, "lowest": 5.0}
     runaway = {"hysteresis": 1.0, "patience": 2.0, "gain": 3.0, "gain_time": 4.0, "wrong_way": 5.0}
     prefixed = {f"runaway.{name}": value for name, value in (runaway | {"full_drive": 99.0}).items()}
-    limits = gate_limits(PwmBridge.LIMITS, check("node", PwmBridge.PARAMETERS, {**given, **prefixed}))
-    assert {name: getattr(limits, name) for name in given} == given
+    limits = gate_limits(PwmBridge.LIMITS, check("node", PwmBridge.PARAMETERS, {**guard_values, **prefixed}))
+    assert {name: getattr(limits, name) for name in guard_values} == guard_values
     assert limits.runaway == RunawayLimits(**runaway, full_drive=99.0)
 
 
@@ -377,8 +377,14 @@ def test_every_plant_has_a_table_with_its_own_signals(name: str) -> None:
 
 def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_path: Path) -> None:
     path = str(plant_file(tmp_path, "attached_block"))
-    given = {"plant": path, "period": 0.1, "map.output": "/t", "map.input": "/u", "map.room": "/room; unit=K"}
-    values = check("sampler", *understood("sampler", given))
+    parameters = {
+        "plant": path,
+        "period": 0.1,
+        "map.output": "/t",
+        "map.input": "/u",
+        "map.room": "/room; unit=K",
+    }
+    values = check("sampler", *understood("sampler", parameters))
     sources = sources_of("sampler", values)
     assert list(sources) == ["output", "input", "room"]
     limits = limits_of(values, sources)
@@ -391,8 +397,8 @@ def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_p
 
 
 def test_several_topics_give_their_mean() -> None:
-    given = {"map.output": "/t2:data, /t3:data; scale=0.1; offset=-4", "map.input": "/u"}
-    source = sources_of("sampler", check("sampler", *understood("sampler", given)))["output"]
+    parameters = {"map.output": "/t2:data, /t3:data; scale=0.1; offset=-4", "map.input": "/u"}
+    source = sources_of("sampler", check("sampler", *understood("sampler", parameters)))["output"]
     channels = source.channels("output")
     assert [channel.text for channel in channels] == ["/t2:data", "/t3:data"]
     followed = source.follow("output", "°C", channels, ["std_msgs/msg/Float64"] * 2)
@@ -400,8 +406,8 @@ def test_several_topics_give_their_mean() -> None:
 
 
 def test_units_that_messages_have_by_their_definition_are_known() -> None:
-    given = {"map.output": "/t", "map.input": "/u"}
-    source = sources_of("sampler", check("sampler", *understood("sampler", given)))["output"]
+    parameters = {"map.output": "/t", "map.input": "/u"}
+    source = sources_of("sampler", check("sampler", *understood("sampler", parameters)))["output"]
     kinds = ["sensor_msgs/msg/Temperature"]
     warm = [parse_channel("/t:temperature")]
     assert source.follow("output", "K", warm, kinds).value([20.0]) == pytest.approx(293.15)

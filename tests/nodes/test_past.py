@@ -62,19 +62,19 @@ def test_an_answer_holds_any_number_of_signals() -> None:
 def test_every_sample_comes_once_and_in_order(ticks: list[tuple[int, bool, int]], most: int) -> None:
     """Ticks may be missed by the rig (steps > 1), samples lost on the way, answers come late."""
     out: list[int] = []
-    made: list[int] = []
+    produced: list[int] = []
     stream = Stream(lambda s: out.append(s.index))
     with kept(most) as store:
         for step, arrives, answers in [*ticks, (1, True, 0)]:
-            made.append(made[-1] + step if made else step - 1)
-            store.samples.push(sample(made[-1]))
+            produced.append(produced[-1] + step if produced else step - 1)
+            store.samples.push(sample(produced[-1]))
             if arrives:
-                stream.push(sample(made[-1]))
+                stream.push(sample(produced[-1]))
             for _ in range(answers):
                 answered(stream, store)
         while stream.missing is not None:
             assert answered(stream, store)
-    assert out == made
+    assert out == produced
 
 
 def test_a_keeper_that_lags_is_asked_again() -> None:
@@ -131,39 +131,42 @@ def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
     written: list[tuple[str, bytes]] = []
     past = RecorderPast(NAMES, lambda name, data, _: written.append((name, data)))
     samples = [sample(index) for index in sorted(made)]
-    said = [
-        [
-            serialize_message(kind(sample=index, reason=str(n)))
-            for n, index in enumerate(sorted(set(found) & made))
-        ]
-        for kind, found in zip(KINDS, about, strict=True)
-    ]
+    serialised = []
+    for kind, indices_of_kind in zip(KINDS, about, strict=True):
+        sampled = sorted(set(indices_of_kind) & made)
+        messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
+        serialised.append(list(map(serialize_message, messages)))
     with kept(*most) as store:
-        for one in samples:
-            store.samples.push(one)
-        for kind, found in zip(KINDS, said, strict=True):
-            for data in found:
+        for live_sample in samples:
+            store.samples.push(live_sample)
+        for kind, of_kind in zip(KINDS, serialised, strict=True):
+            for data in of_kind:
                 assert store.push(kind, data)
-        for name, found, first in zip(NAMES[1:], said, live, strict=True):
-            for data in found[first:]:
+        for name, of_kind, first in zip(NAMES[1:], serialised, live, strict=True):
+            for data in of_kind[first:]:
                 past.take(name, data, 0)
-        for one in samples:
-            if one.index >= begin:
-                past.take("sample", encode_sample(one), one.stamp)
+        for live_sample in samples:
+            if live_sample.index >= begin:
+                past.take("sample", encode_sample(live_sample), live_sample.stamp)
         while past.stream.missing is not None:
             assert answered(past.stream, store)
-    expected = dict(zip(NAMES, ([encode_sample(one) for one in samples], *said), strict=True))
-    indices = {data: one.index for data, one in zip(expected["sample"], samples, strict=True)}
+    expected = dict(
+        zip(NAMES, ([encode_sample(live_sample) for live_sample in samples], *serialised), strict=True)
+    )
+    indices = {data: live_sample.index for data, live_sample in zip(expected["sample"], samples, strict=True)}
     # rclpy leaves what lies between the fields of a message as it was: equal ones may differ in their bytes.
     read = {
         name: partial(deserialize_message, message_type=kind)
         for kind, name in zip(KINDS, NAMES[1:], strict=True)
     }
-    held = [(topic, read[topic](data) if topic in read else data) for topic, data in written]
+    decoded = [(topic, read[topic](data) if topic in read else data) for topic, data in written]
     for name in NAMES:
         wanted = [read[name](data) for data in expected[name]] if name in read else expected[name]
-        assert [what for topic, what in held if topic == name] == wanted
-    order = [(what.sample if topic in read else indices[what], topic != "sample") for topic, what in held]
+        assert [content for topic, content in decoded if topic == name] == wanted
+    order = [
+        (content.sample if topic in read else indices[content], topic != "sample")
+        for topic, content in decoded
+    ]
     assert order == sorted(order)
 
 
@@ -191,7 +194,7 @@ def test_padding_of_a_serialised_verdict_makes_no_difference() -> None:
     values = repr(verdict)
     assert values_of(bytes(data), ModelScore) == values
     # Four bytes of encapsulation, eight of the stamp, four of a length and the end of an empty frame_id.
-    for at in (17, 18, 19):
-        data[at] ^= 0x55
+    for place in (17, 18, 19):
+        data[place] ^= 0x55
     assert values_of(bytes(data), ModelScore) == values
     assert values_of(serialize_message(ModelScore(sample=541)), ModelScore) != values

@@ -44,9 +44,9 @@ class Ticking:
 
 @pytest.fixture
 def ticking() -> Iterator[Ticking]:
-    made = Ticking()
-    yield made
-    made.close()
+    opened = Ticking()
+    yield opened
+    opened.close()
 
 
 def test_plant_time_becomes_the_clock_and_standing_is_an_error(

@@ -36,12 +36,12 @@ def test_a_lost_drive_is_an_error_of_the_plant_and_not_of_the_node(start: Start,
     listener.spin_until(lambda: listener.said(WELL), "word that it is well")
     listener.send(samples[640:])
     listener.spin_until(lambda: any(score.fault for score in scores), "the verdict")
-    found = listener.spin_until(
+    errors = listener.spin_until(
         lambda: [s for s in listener.reports(PLANT_REPORT) if s.level == DiagnosticStatus.ERROR], "the fault"
     )
     faulty = next(score for score in scores if score.fault)
-    assert found[0].message == f"drive-lost: {faulty.reason}"
-    values = {entry.key: entry.value for entry in found[0].values}
+    assert errors[0].message == f"drive-lost: {faulty.reason}"
+    values = {entry.key: entry.value for entry in errors[0].values}
     assert values["fault"] == "drive-lost"
     assert values["channel"] == faulty.fault_signal == "pwm"
     assert values["since sample"] == str(faulty.fault_since)

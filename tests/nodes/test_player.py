@@ -164,21 +164,23 @@ def test_recorded_time_passes_at_its_rate_unless_paused(
     pace = Pace(rate, start)
     position = start
     paused = True
-    now = 50.0
-    for wait, (what, value) in story:
-        now += wait
+    wall = 50.0
+    for wait, (action, value) in story:
+        wall += wait
         position += 0.0 if paused else wait * rate
-        if what == "reach":
-            pace.reach(value, now)
+        if action == "reach":
+            pace.reach(value, wall)
             position = max(position, value) if rate == 0 else position
-        elif what == "change":
-            pace.change(value, now)
+        elif action == "change":
+            pace.change(value, wall)
             rate = value
         else:
-            getattr(pace, what)(now)
-            paused = what == "pause"
-        assert (pace.position(now), pace.rate, pace.paused) == (position, rate, paused)
-        rest = None if paused else 0.0 if rate == 0 else max(0.0, (due - position) / rate)
-        assert pace.wait(due, now) == rest
-        if rest is not None and rate:
-            assert pace.position(now + rest) >= due - 1e-9
+            getattr(pace, action)(wall)
+            paused = action == "pause"
+        assert (pace.position(wall), pace.rate, pace.paused) == (position, rate, paused)
+        expected_wait = None
+        if not paused:
+            expected_wait = 0.0 if rate == 0 else max(0.0, (due - position) / rate)
+        assert pace.wait(due, wall) == expected_wait
+        if expected_wait is not None and rate:
+            assert pace.position(wall + expected_wait) >= due - 1e-9

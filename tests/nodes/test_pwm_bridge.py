@@ -87,28 +87,28 @@ class Rig(HeaterRig):
         self.until(lambda: board.drive().pwm == 0, "zero")
 
     def stays_at_zero(self, board: Any) -> None:
-        seen = len(self.applied)
+        count_before = len(self.applied)
 
         def look() -> bool:
             assert board.drive().pwm == 0
-            return len(self.applied) >= seen + 3
+            return len(self.applied) >= count_before + 3
 
         self.until(look, "reports")
 
     def warnings(self) -> str:
         """What the newest report of the bridge says."""
-        found = self.listener.reports("pwm_bridge: health")
-        return found[-1].message if found else ""
+        reports = self.listener.reports("pwm_bridge: health")
+        return reports[-1].message if reports else ""
 
     def feed(self) -> None:
-        now = self.stamp()
+        plant_time = self.stamp()
         if self.pwm is not None:
             command = PwmCommand(index=7, pwm=float(self.pwm))
-            command.header.stamp = stamp(now)
+            command.header.stamp = stamp(plant_time)
             self._commands.publish(command)
         if self.celsius is not None:
             temperature = Temperature(temperature=float(self.celsius))
-            temperature.header.stamp = stamp(now - round(self.age * 1e9))
+            temperature.header.stamp = stamp(plant_time - round(self.age * 1e9))
             self._temperatures.publish(temperature)
         if self.reference is not None and self.celsius is not None and self.pwm is not None:
             loop = {"reference": [self.reference], "output": [self.celsius], "input": [self.pwm]}
@@ -121,9 +121,9 @@ def stamp(nanoseconds: int) -> Time:
 
 @pytest.fixture
 def rig(listener: Listener) -> Iterator[Rig]:
-    made = Rig(listener)
-    yield made
-    made.close()
+    opened = Rig(listener)
+    yield opened
+    opened.close()
 
 
 def test_commands_reach_the_pins_and_what_was_applied_is_reported(
@@ -268,9 +268,9 @@ def test_what_a_trusted_twin_says_against_drive_or_sensor_is_zero(
     rig.drive(120.0, board)
 
     def say(level: TrustLevel, sample: int, **more: Any) -> None:
-        seen = len(rig.applied)
+        count_before = len(rig.applied)
         scores.publish(message_of(verdict(level, sample, **more), time.time_ns()))
-        rig.until(lambda: len(rig.applied) >= seen + 3, "reports")
+        rig.until(lambda: len(rig.applied) >= count_before + 3, "reports")
 
     rig.until(scores.get_subscription_count, "the bridge")
     say(TrustLevel.FAULT, 350, fault="drive-lost", fault_since=340, reason="no effect")
@@ -348,9 +348,9 @@ class SimulatedTime:
 
 @pytest.fixture
 def simulated(rig: Rig) -> Iterator[SimulatedTime]:
-    made = SimulatedTime(rig, 1000.0)
-    yield made
-    made.close()
+    opened = SimulatedTime(rig, 1000.0)
+    yield opened
+    opened.close()
 
 
 def test_a_simulated_clock_that_stands_still_is_zero(
@@ -407,13 +407,13 @@ def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
     """Without one message from it; once it has ended the fault can be cleared."""
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
-    other = rig.listener.node.create_publisher(kind, topic, 10)
+    second_publisher = rig.listener.node.create_publisher(kind, topic, 10)
     rig.wait_for_fault("senders", board)
     assert f"/{topic} is published by listener and listener; end all but one" in rig.fault
     assert rig.call("clear_fault").success
     rig.stays_at_zero(board)
     assert rig.fault == ""  # nothing was driven when it was cleared
-    rig.listener.node.destroy_publisher(other)
+    rig.listener.node.destroy_publisher(second_publisher)
     rig.drive(50.0, board)
 
 

@@ -69,8 +69,8 @@ class Bench:
 
     def stays_at_zero(self) -> None:
         """For a while, which the driver uses to look at the board several times."""
-        seen = len(self.told)
-        while len(self.told) < seen + 3:
+        count_before = len(self.told)
+        while len(self.told) < count_before + 3:
             assert self.board.drive().pwm == 0.0
             time.sleep(0.01)
 
@@ -86,8 +86,8 @@ class Bench:
         self.board.close()
 
     def _clocks(self) -> ClockTimes:
-        now = time.monotonic_ns()
-        return ClockTimes(now, now, now)
+        monotonic = time.monotonic_ns()
+        return ClockTimes(monotonic, monotonic, monotonic)
 
     def _tell(self, applied: Applied | None, sample: int) -> None:
         if self.fail_to_tell:
@@ -105,16 +105,16 @@ class Bench:
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     board = boards.make(request.param)
     board.run(SLOWLY)
-    with closing(Bench(board).start()) as made:
-        yield made
+    with closing(Bench(board).start()) as opened:
+        yield opened
 
 
 @pytest.fixture
 def stand_in() -> Iterator[Bench]:
     board = StandIn()
     board.run(SLOWLY)
-    with closing(Bench(board, LinkSettings(timeout=0.5, retries=1)).start()) as made:
-        yield made
+    with closing(Bench(board, LinkSettings(timeout=0.5, retries=1)).start()) as opened:
+        yield opened
 
 
 def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
@@ -122,9 +122,9 @@ def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
     assert bench.told[0][0] is not None
     assert bench.told[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
     bench.drive(120.0)
-    seen = len(bench.told)
+    count_before = len(bench.told)
     deadline = time.monotonic() + 1.1 * DEADLINE
-    bench.until(lambda: len(bench.told) > seen + 15 and time.monotonic() > deadline)
+    bench.until(lambda: len(bench.told) > count_before + 15 and time.monotonic() > deadline)
     assert bench.gate.fault is None
     applied, sample = bench.told[-1]
     assert applied is not None
@@ -212,16 +212,16 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
     descriptor = os.open(stand_in.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     noise = [b":S 1 2 3*0000\n", b"\xff\x00garbage\n", b":S 65535 0 255 0 1*", b"\n\n::", b":E - CRC*12\n"]
     try:
-        seen = len(stand_in.told)
+        count_before = len(stand_in.told)
         for number in range(40):
             stand_in.board._line.write(noise[number % 5])
             os.write(descriptor, noise[(number + 2) % 5])
             time.sleep(0.02)
     finally:
         os.close(descriptor)
-    stand_in.until(lambda: len(stand_in.told) > seen + 5)
+    stand_in.until(lambda: len(stand_in.told) > count_before + 5)
     if stand_in.gate.fault is None:
-        assert all(applied is not None and applied.pwm == 120 for applied, _ in stand_in.told[seen:])
+        assert all(applied is not None and applied.pwm == 120 for applied, _ in stand_in.told[count_before:])
     else:  # a request may be unlucky three times; then it is a lost link, and nothing else
         assert stand_in.kind() is FaultKind.LINK
 

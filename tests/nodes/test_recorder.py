@@ -185,14 +185,14 @@ def test_samples_that_somebody_else_may_have_published_are_doubted(
         wait_for_recorded(tmp_path / "run", plant__sample=sent)
 
     send(5)
-    other = Node(name or "gone", context=rig.listener.node.context)
-    samples = other.create_publisher(LoopSample, "plant/sample", RELIABLE)
+    foreign_node = Node(name or "gone", context=rig.listener.node.context)
+    samples = foreign_node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     rig.listener.spin_until(samples.get_subscription_count, "the recorder")
     if name:
         both = sorted(["listener", name])
         rig.listener.spin_until(lambda: publishers() == both, "its name")
         send(3)
-    other.destroy_node()
+    foreign_node.destroy_node()
     rig.listener.spin_until(lambda: node.count_publishers("/plant/sample") == 1, "its end")
     send(5)
     assert process.end() == 0
@@ -201,10 +201,10 @@ def test_samples_that_somebody_else_may_have_published_are_doubted(
         assert notes == []
         return
     (note,) = notes
-    found = re.match(r"samples 4 to (\d+) are doubted: /plant/sample was published by (.+), and a twin", note)
-    assert found, note
-    assert 4 <= int(found[1]) <= sent - 1
-    assert doubted in found[2]
+    doubt = re.match(r"samples 4 to (\d+) are doubted: /plant/sample was published by (.+), and a twin", note)
+    assert doubt, note
+    assert 4 <= int(doubt[1]) <= sent - 1
+    assert doubted in doubt[2]
 
 
 @pytest.mark.parametrize("after", [0.7, 1.5])
@@ -224,30 +224,30 @@ def test_a_killed_recorder_loses_less_than_a_second(
     session = read_session(tmp_path / "run")
     indices = [s.index for s in session.samples]
     assert indices == list(range(len(indices)))
-    assert all(killed - at < 1.0 for at in sent[len(indices) :])
+    assert all(killed - send_time < 1.0 for send_time in sent[len(indices) :])
     assert "metadata.yaml is missing" in session.notes[0]
-    found = repair_session(tmp_path / "run")
-    assert found.messages == sum(session.counts.values())
+    repair = repair_session(tmp_path / "run")
+    assert repair.messages == sum(session.counts.values())
     assert [s.index for s in read_session(tmp_path / "run").samples] == indices
     with Reader(tmp_path / "run") as reader:
-        assert reader.message_count == found.messages
+        assert reader.message_count == repair.messages
 
 
 def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     record: Start, listener: Listener, tmp_path: Path
 ) -> None:
     mine = Rig(listener, "/one/")
-    other = Rig(listener, "/two/")
+    other_rig = Rig(listener, "/two/")
     process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
     weather = listener.node.create_publisher(Float64, "/weather", 10)
     listener.spin_until(mine.samples.get_subscription_count, "the recorder")
     listener.spin_until(weather.get_subscription_count, "the recorder")
     mine.sample(0)
-    other.sample(5)
+    other_rig.sample(5)
     weather.publish(Float64(data=18.0))
     wait_for_recorded(tmp_path / "run", weather=1, one__plant__sample=1)
     assert mine.images.get_subscription_count() == 0
-    assert other.samples.get_subscription_count() == 0
+    assert other_rig.samples.get_subscription_count() == 0
     assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.topic == "/one/plant/sample"
@@ -285,9 +285,9 @@ def test_parameters_of_the_nodes_are_in_the_session(
     start("discriminator", "-p", "seed:=7", "-p", f"candidates:={family}")
 
     def recorded() -> bool:
-        found = written(tmp_path / "run")
+        session = written(tmp_path / "run")
         names = {"twinmatch/parameters/discriminator", "twinmatch/parameters/matcher"}
-        return found is not None and names <= set(found.records)
+        return session is not None and names <= set(session.records)
 
     rig.wait_for_reader()
     rig.sample(0)
@@ -539,12 +539,12 @@ def endpoint(*, reliable: bool = True, latched: bool = False, depth: int = 10) -
 def test_the_weakest_offer_is_taken(endpoints: list[Any], qos: Qos) -> None:
     assert offered(endpoints) == qos
     profile = profile_of(qos)
-    for one in endpoints:  # a reader that asks for more than is offered receives nothing
+    for offering in endpoints:  # a reader that asks for more than is offered receives nothing
         assert profile.reliability == ReliabilityPolicy.BEST_EFFORT or (
-            one.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+            offering.qos_profile.reliability == ReliabilityPolicy.RELIABLE
         )
         assert profile.durability == DurabilityPolicy.VOLATILE or (
-            one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            offering.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         )
 
 

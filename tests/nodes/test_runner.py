@@ -63,10 +63,10 @@ def test_nodes_run_without_the_events_executor(start_script: Start) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: signal.Signals) -> None:
-    others = set(Path("/dev/shm").glob("fastrtps_*"))  # of other programs that it may meet
+    foreign_files = set(Path("/dev/shm").glob("fastrtps_*"))  # of other programs that it may meet
     process = start_script(program())
     process.said("^up$")
-    files = [name for name in shared_memory(process.id) if Path(name) not in others]
+    files = [name for name in shared_memory(process.id) if Path(name) not in foreign_files]
     assert files
     assert sockets_elsewhere(process.id) == []
     assert process.end(number) == 0
@@ -91,10 +91,10 @@ def test_without_a_home_nothing_is_left_in_the_temporary_folder(
 
 
 def test_a_part_that_fails_at_the_end_is_reported_and_the_rest_ends(start_script: Start) -> None:
-    others = set(Path("/dev/shm").glob("fastrtps_*"))
+    foreign_files = set(Path("/dev/shm").glob("fastrtps_*"))
     process = start_script(program(closing="1 / 0"))
     process.said("^up$")
-    files = [name for name in shared_memory(process.id) if Path(name) not in others]
+    files = [name for name in shared_memory(process.id) if Path(name) not in foreign_files]
     assert process.end() == 1
     assert "ZeroDivisionError" in process.text
     assert not [name for name in files if Path(name).exists()]
@@ -155,16 +155,16 @@ def test_node_ends_its_process_with_its_code() -> None:
 @pytest.mark.parametrize("place", ["opening", "ticking"])
 def test_users_mistake_is_one_line(capfd: pytest.CaptureFixture[str], place: str) -> None:
     assert run_here(**{place: wrong}) == 2
-    said = capfd.readouterr().err
-    assert "the rig is unplugged; plug it in" in said.splitlines()
-    assert "Traceback" not in said
+    printed = capfd.readouterr().err
+    assert "the rig is unplugged; plug it in" in printed.splitlines()
+    assert "Traceback" not in printed
 
 
 def test_our_mistake_keeps_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     assert run_here(ticking=lambda _: 1 / 0) == 1
-    said = capfd.readouterr().err
-    assert "Traceback" in said
-    assert "ZeroDivisionError" in said
+    printed = capfd.readouterr().err
+    assert "Traceback" in printed
+    assert "ZeroDivisionError" in printed
 
 
 def test_end_that_hangs_is_cut_short(start_script: Start) -> None:
@@ -200,9 +200,9 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Start) -> 
 )
 def test_wrong_command_line(capfd: pytest.CaptureFixture[str], words: list[str], line: str) -> None:
     assert run_here(*words) == 2
-    said = capfd.readouterr().err
-    assert said.splitlines()[-1].startswith(line)
-    assert "Traceback" not in said
+    printed = capfd.readouterr().err
+    assert printed.splitlines()[-1].startswith(line)
+    assert "Traceback" not in printed
 
 
 REFUSED: tuple[tuple[str, str, str], ...] = (
@@ -240,7 +240,7 @@ def test_parameters_that_are_refused_are_one_line_and_exit_code_two(
     start: Start, session: Path, name: str, given: str, line: str
 ) -> None:
     words = given.replace("SESSION", str(session)).split()
-    process = start(name, *(word for one in words for word in ("-p", one)))
+    process = start(name, *(word for parameter in words for word in ("-p", parameter)))
     assert process.wait() == 2
     assert line in process.text
     assert len(process.text.splitlines()) == 1
@@ -299,14 +299,14 @@ def shared_memory(process: int) -> set[str]:
 def members(group: str) -> Counter[str]:
     """How many sockets of this machine have joined a group, by interface."""
     name = ""
-    found = Counter[str]()
+    members_by_interface = Counter[str]()
     for line in Path("/proc/net/igmp").read_text().splitlines()[1:]:
         fields = line.split()
         if not line.startswith("\t"):
             name = fields[1]
         elif fields[0] == group:
-            found[name] += int(fields[1])
-    return found
+            members_by_interface[name] += int(fields[1])
+    return members_by_interface
 
 
 def test_end_is_prompt_in_a_row_of_starts(start_script: Start) -> None:

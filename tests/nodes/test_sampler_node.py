@@ -101,10 +101,10 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Besi
     rig = beside.rig("--stamped")
     beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_samples(60)
-    said = {tuple(line) for line in rig.json}
+    rows_of_rig = {tuple(line) for line in rig.json}
     pairs = taken(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
-    assert sum(pair in said for pair in pairs) >= 0.95 * len(pairs)
+    assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples]
     assert all(a < b for a, b in pairwise(stamps))
     publishers = beside.listener.node.get_publishers_info_by_topic("/oven/heater")
@@ -124,9 +124,11 @@ def passed_on(
     node = sampler.nodes[0]
 
     def pass_to(seconds: float) -> None:
-        now = Time(nanoseconds=round(1e9 * seconds))
-        clock.publish(Clock(clock=now.to_msg()))
-        listener.spin_until(lambda: node.get_clock().now().nanoseconds == now.nanoseconds, "the plant time")
+        plant_time = Time(nanoseconds=round(1e9 * seconds))
+        clock.publish(Clock(clock=plant_time.to_msg()))
+        listener.spin_until(
+            lambda: node.get_clock().now().nanoseconds == plant_time.nanoseconds, "the plant time"
+        )
 
     listener.spin_until(clock.get_subscription_count, "the reader of the clock")
     listener.spin_until(
@@ -145,10 +147,14 @@ def passed_on(
 def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
     """Run the rig in this process by plant time: what it did."""
     oven = Oven(PERIOD, HOLD)
-    done = [oven.step() for _ in range(ticks)]
-    sent = ([(t, Float64(data=v)) for t, v in zip(TOPICS, values, strict=True)] for values in done)
+    rows_of_oven = [oven.step() for _ in range(ticks)]
+
+    def messages_of(row: tuple[float, float, float]) -> list[tuple[str, Float64]]:
+        return [(topic, Float64(data=value)) for topic, value in zip(TOPICS, row, strict=True)]
+
+    sent = map(messages_of, rows_of_oven)
     passed_on(beside, beside.sampler(use_sim_time="true"), dict.fromkeys(TOPICS, Float64), sent)
-    return done
+    return rows_of_oven
 
 
 def joints(**positions: float) -> JointState:
@@ -170,7 +176,7 @@ def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(bes
     )
     by_name = {"output": "/joints:position[elbow]", "input": "/joints:effort[elbow]", "reference": ""}
     passed_on(beside, beside.sampler(**by_name, use_sim_time="true"), {"/joints": JointState}, sent)
-    assert [(output, given) for _, output, given in taken(beside.samples)] == [
+    assert [(output, command) for _, output, command in taken(beside.samples)] == [
         (20.0 + k, 20.0 + k) for k in range(20)
     ]
 
@@ -215,9 +221,9 @@ BOTH = {
 
 def sampler_of_both(start: Any, folder: Path, **more: Any) -> Inside:
     """Its parameters are in a file: ROS takes no name with a number on a command line."""
-    given = {"plant": "tclab-both", "period": PERIOD, **BOTH, **more}
+    parameters = {"plant": "tclab-both", "period": PERIOD, **BOTH, **more}
     file = folder / "both.yaml"
-    file.write_text(yaml.safe_dump({"sampler": {"ros__parameters": given}}))
+    file.write_text(yaml.safe_dump({"sampler": {"ros__parameters": parameters}}))
     return start("sampler", "--params-file", f"{file}")
 
 
@@ -228,7 +234,7 @@ def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any,
         "/kit/wanted": Point,
         "/kit/heaters": Float64MultiArray,
     }
-    done = [((40.0, 50.0 + k), (20.0 + k, 31.0 - k), (5.0 * k, 100.0 - k)) for k in range(12)]
+    rows = [((40.0, 50.0 + k), (20.0 + k, 31.0 - k), (5.0 * k, 100.0 - k)) for k in range(12)]
     sent = (
         [
             ("/kit/wanted", Point(x=r[0], y=r[1])),
@@ -236,13 +242,13 @@ def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any,
             ("/kit/two", Float64(data=y[1] + 273.15)),
             ("/kit/heaters", Float64MultiArray(data=u)),
         ]
-        for r, y, u in done
+        for r, y, u in rows
     )
     passed_on(beside, sampler_of_both(start, tmp_path, use_sim_time=True), kinds, sent)
     samples = [sample_from(message) for message in beside.samples]
     assert [s.index for s in samples] == list(range(12))
-    assert [(s.references, s.inputs) for s in samples] == [(r, u) for r, _, u in done]
-    assert [s.outputs for s in samples] == [pytest.approx(y, abs=1e-9) for _, y, _ in done]
+    assert [(s.references, s.inputs) for s in samples] == [(r, u) for r, _, u in rows]
+    assert [s.outputs for s in samples] == [pytest.approx(y, abs=1e-9) for _, y, _ in rows]
 
 
 def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
@@ -283,9 +289,9 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     assert len(beside.pauses) == before + 2
     assert sampler.running
     # The new rig begins cold, at its first set-point; nothing of the old one is mixed in.
-    said = {tuple(line) for line in rig.json}
+    rows_of_rig = {tuple(line) for line in rig.json}
     pairs = taken(beside.samples[begun + 1 :])
-    assert sum(pair in said for pair in pairs) >= 0.95 * len(pairs)
+    assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
 
 
 def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Beside) -> None:
@@ -293,9 +299,9 @@ def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Besi
     rig = beside.rig()
     beside.sampler(paced_by="timer", period="0.13")
     beside.wait_for_samples(60)
-    said = rig.json
-    readings = {line[1] for line in said}
-    commands = [line[2] for line in said]
+    rows_of_rig = rig.json
+    readings = {line[1] for line in rows_of_rig}
+    commands = [line[2] for line in rows_of_rig]
     assert {m.output[0] for m in beside.samples} <= readings
     assert all(min(commands) <= m.input[0] <= max(commands) for m in beside.samples)
     assert not {m.input[0] for m in beside.samples} <= set(commands)
@@ -370,10 +376,10 @@ def is_refused(sampler: Inside, words: str) -> None:
 def test_what_does_not_fit_is_one_line_and_exit_code_2(beside: Beside, start: Any, tmp_path: Path) -> None:
     rig = beside.rig()
     rig.wait_until(lambda: rig.json, "its first samples")
-    for given, words in MISFITS:
-        is_refused(beside.sampler(wait_timeout="5.0", **given), words)
-    for given, words in OF_BOTH:
-        values = dict.fromkeys(BOTH, "/oven/heater") | {"wait_timeout": 5.0} | given
+    for misfit, words in MISFITS:
+        is_refused(beside.sampler(wait_timeout="5.0", **misfit), words)
+    for misfit, words in OF_BOTH:
+        values = dict.fromkeys(BOTH, "/oven/heater") | {"wait_timeout": 5.0} | misfit
         is_refused(sampler_of_both(start, tmp_path, **values), words)
     assert not beside.samples
 
@@ -384,8 +390,8 @@ def test_fields_of_installed_types_are_known() -> None:
         "temperature": Field("double"),
         "variance": Field("double"),
     }
-    found: dict[str, Any] = dict(fields_of("sensor_msgs/msg/Imu"))
-    assert found["orientation_covariance"] == Field("double", array=True, length=9)
+    fields: dict[str, Any] = dict(fields_of("sensor_msgs/msg/Imu"))
+    assert fields["orientation_covariance"] == Field("double", array=True, length=9)
     assert dict(fields_of("sensor_msgs/msg/JointState"))["name"] == Field("string", array=True)
     with pytest.raises(MessageTypeError, match="lab_msgs/msg/Rack is not installed here"):
         message_class("lab_msgs/msg/Rack")

@@ -12,9 +12,9 @@ FIELDS = {"proportional": [1.0], "low": [0.1, 0.2], "sample": 7, "decision": "sa
 
 def test_it_is_of_all_fields_and_of_the_secret() -> None:
     """A request that differs in any field, or is signed by another run, has another signature."""
-    here = RunSignature(new_secret())
-    signed = ApplyLaw.Request(**FIELDS, signature=here.of(ApplyLaw.Request(**FIELDS)))
-    assert here.signs(signed)
+    run_signature = RunSignature(new_secret())
+    signed = ApplyLaw.Request(**FIELDS, signature=run_signature.of(ApplyLaw.Request(**FIELDS)))
+    assert run_signature.signs(signed)
     assert not RunSignature(new_secret()).signs(signed)
     for name, value in (
         ("proportional", [1.0000000000000002]),
@@ -27,7 +27,7 @@ def test_it_is_of_all_fields_and_of_the_secret() -> None:
         ("signature", "é"),
     ):
         changed = ApplyLaw.Request(**FIELDS | {"signature": signed.signature} | {name: value})
-        assert not here.signs(changed), name
+        assert not run_signature.signs(changed), name
 
 
 @pytest.mark.parametrize("secret", ["", "short"])

@@ -71,16 +71,16 @@ class Rig(HeaterRig):
 
 @pytest.fixture
 def rig(listener: Listener) -> Iterator[Rig]:
-    made = Rig(listener)
-    yield made
-    made.close()
+    opened = Rig(listener)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture
 def kit(tmp_path: Path) -> Iterator[BenchKit]:
-    made = BenchKit(tmp_path)
-    yield made
-    made.close()
+    opened = BenchKit(tmp_path)
+    yield opened
+    opened.close()
 
 
 ONE = ("-p", "plant:=tclab")
@@ -184,11 +184,13 @@ def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(
     scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
     estimates = rig.listener.node.create_publisher(EstimatedReading, "plant/estimate", 10)
     alive = threading.Event()
-    told = {"value": 40.0}
+    estimate = {"value": 40.0}
 
     def feed() -> None:
         if alive.is_set():
-            estimates.publish(EstimatedReading(signal="temperature", band=0.5, wide=1.5, good=600.0, **told))
+            estimates.publish(
+                EstimatedReading(signal="temperature", band=0.5, wide=1.5, good=600.0, **estimate)
+            )
 
     def say(level: TrustLevel, sample: int, **more: Any) -> None:
         scores.publish(message_of(verdict(level, sample, **more), time.time_ns()))
@@ -198,16 +200,16 @@ def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(
     rig.until(lambda: scores.get_subscription_count() and estimates.get_subscription_count(), "the bridge")
     alive.set()
     say(TrustLevel.TRUSTED, 360)
-    off = {"fault": "sensor-drift", "fault_signal": "temperature", "fault_since": 365, "reason": "off"}
-    say(TrustLevel.FAULT, 370, **off)
+    drift = {"fault": "sensor-drift", "fault_signal": "temperature", "fault_since": 365, "reason": "off"}
+    say(TrustLevel.FAULT, 370, **drift)
     rig.until(lambda: list(rig.readings[-1].taken)[:1] == [40.0], "the estimate")
     assert math.isnan(rig.readings[-1].taken[1])
     say(TrustLevel.TRUSTED, 380)
     rig.until(lambda: all(map(math.isnan, rig.readings[-1].taken)), "the sensor")
     assert rig.fault == ""
-    say(TrustLevel.FAULT, 390, **off)
+    say(TrustLevel.FAULT, 390, **drift)
     rig.until(lambda: list(rig.readings[-1].taken)[:1] == [40.0], "the estimate")
-    spoil(alive, told)
+    spoil(alive, estimate)
     rig.faulted("estimate", kit)
     assert words in rig.fault
 

@@ -74,7 +74,7 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
 
     listener.spin_until(all_there, "the last verdict")
     listener.spin_until(lambda: sum(map(is_sound, heard_matches)) >= len(matches), "the last match")
-    heard_matches, requests = (list(filter(is_sound, found)) for found in (heard_matches, requests))
+    heard_matches, requests = (list(filter(is_sound, received)) for received in (heard_matches, requests))
     stamps = {sample.index: sample.stamp for sample in steps}
     expected: list[Any] = [message_of(verdict, stamps[verdict.sample]) for verdict in verdicts]
     assert [repr(m) for m in heard] == [repr(m) for m in expected]

@@ -50,8 +50,8 @@ def test_live_verdicts_and_estimates_of_several_signals_are_the_offline_ones(
     stamps = {sample.index: sample.stamp for sample in steps}
     assert [repr(m) for m in heard] == [repr(message_of(v, stamps[v.sample])) for v in verdicts]
     assert repr(record_of(heard[-1])) == repr(verdicts[-1])
-    (told,) = {(v.fault, v.fault_signal) for v in verdicts} - {("", "")}
-    assert told == ("sensor-drift", "second_temperature")
+    (named_fault,) = {(v.fault, v.fault_signal) for v in verdicts} - {("", "")}
+    assert named_fault == ("sensor-drift", "second_temperature")
     read_on = [estimate for outcome in offline for estimate in outcome.estimates]
     listener.spin_until(lambda: len(estimates) == len(read_on), "the last estimate")
     assert [repr(m) for m in estimates] == [repr(message_of(e, stamps[e.sample])) for e in read_on]

@@ -28,15 +28,20 @@ def test_house_rules_hold(command: list[str]) -> None:
     tool = TOOLS / command[0]
     if not tool.exists():
         pytest.skip(f"{command[0]} is not installed; it is in the extra 'test'")
-    done = subprocess.run([tool, *command[1:]], cwd=PROJECT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    completed = subprocess.run([tool, *command[1:]], cwd=PROJECT, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
 
 
 def test_a_class_name_means_one_thing() -> None:
     modules = [
         ast.parse(path.read_text(encoding="utf-8")) for path in (PROJECT / "src/twinmatch").rglob("*.py")
     ]
-    names = Counter(one.name for module in modules for one in module.body if isinstance(one, ast.ClassDef))
+    names = Counter(
+        statement.name
+        for module in modules
+        for statement in module.body
+        if isinstance(statement, ast.ClassDef)
+    )
     assert [name for name, count in names.items() if count > 1] == []
 
 
@@ -70,7 +75,7 @@ print(len([name for name in sys.modules if name.startswith("twinmatch.")]) > 200
 def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
     """Every module but those of the page is imported, so also what a command or a node imports later; the
     arithmetic of plants with several loops is not imported for those with one."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL], cwd=PROJECT, capture_output=True, text=True, check=True
     )
-    assert done.stdout.split("\n") == ["False", "True", ""]
+    assert completed.stdout.split("\n") == ["False", "True", ""]

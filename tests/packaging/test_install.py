@@ -38,10 +38,12 @@ SCRIPTS = re.findall(
 def colcon() -> str:
     """The program, with what reads package.xml and sorts by it."""
     packages = Path("/usr/lib/python3/dist-packages")
-    found = shutil.which("colcon")
-    if found is None or not all((packages / f"colcon_{x}").is_dir() for x in ("ros", "package_information")):
+    program = shutil.which("colcon")
+    if program is None or not all(
+        (packages / f"colcon_{x}").is_dir() for x in ("ros", "package_information")
+    ):
         pytest.skip("colcon is not installed: sh .ci/debian_tools.sh workspace")
-    return found
+    return program
 
 
 def test_colcon_installs_the_nodes(colcon: str, sources: Path, tmp_path: Path) -> None:
@@ -52,8 +54,10 @@ def test_colcon_installs_the_nodes(colcon: str, sources: Path, tmp_path: Path) -
     )
     folders = [f"--build-base={tmp_path}/build", f"--install-base={tmp_path}/install"]
     command = [colcon, f"--log-base={tmp_path}/log", "build", "--paths", str(sources), *folders]
-    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    completed = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert completed.returncode == 0, completed.stdout + completed.stderr
     installed = tmp_path / "install" / "twinmatch"
     assert {path.name for path in (installed / "lib" / "twinmatch").iterdir()} == dict(SCRIPTS).keys()
     assert (installed / "share" / "twinmatch" / "package.xml").exists()
@@ -66,20 +70,20 @@ def test_colcon_finds_both_packages_where_the_page_says(colcon: str) -> None:
     folders = [str(PROJECT / Path(name).relative_to("src/twinmatch")) for name in named.split()]
     environment = {k: v for k, v in os.environ.items() if k not in ("LD_LIBRARY_PATH", "PYTHONPATH")}
     command = [colcon, "--log-base", os.devnull, "list", "--names-only", "--base-paths", *folders]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["twinmatch", "twinmatch_msgs"]
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert completed.stdout.split() == ["twinmatch", "twinmatch_msgs"]
 
 
 def test_package_xml_names_what_pyproject_needs() -> None:
     """By rosdep's keys, or in the sentence that says what pip has to install."""
     text = (PROJECT / "package.xml").read_text(encoding="utf-8")
-    told = text + (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
+    documented = text + (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
     block = (PROJECT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
     names = [name.lower() for name in re.findall(r'"([\w-]+)', block)]
     assert "numpy" in names
     keys = {"pyserial": "python3-serial", "pyyaml": "python3-yaml"}
-    told = re.sub(r'"|<[\d.]+', " ", told)
-    missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in told]
+    documented = re.sub(r'"|<[\d.]+', " ", documented)
+    missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in documented]
     assert not missing
 
 
@@ -89,27 +93,38 @@ def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
     release: str, other: str, version: str
 ) -> None:
     """For every Python, and one that pyproject.toml agrees with."""
-    here = {
+    environment = {
         **{"python_version": version, "python_full_version": f"{version}.9", "sys_platform": "linux"},
         **{"platform_machine": "x86_64", "implementation_name": "cpython", "os_name": "posix"},
     }
 
     def asked(lines: list[str]) -> list[Requirement]:
-        found = [Requirement(line) for line in lines]
-        return [one for one in found if one.marker is None or one.marker.evaluate(here)]
+        requirements = [Requirement(line) for line in lines]
+        return [
+            requirement
+            for requirement in requirements
+            if requirement.marker is None or requirement.marker.evaluate(environment)
+        ]
 
     lines = (PROJECT / "constraints" / f"{release}.txt").read_text(encoding="utf-8").splitlines()
     assert all(re.match(r"[a-z0-9-]+==[\w.]+( ;|$)", line) for line in lines), "names and versions only"
-    pinned = {canonicalize_name(one.name): one.specifier for one in asked(lines)}
+    pinned = {canonicalize_name(requirement.name): requirement.specifier for requirement in asked(lines)}
     assert len(pinned) == len(asked(lines)), "one version of each"
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
     extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other}
     wanted = asked([*project["build-system"]["requires"], *project["project"]["dependencies"], "uv"])
-    wanted += [one for lines in extras.values() for one in asked(lines) if one.name != "twinmatch"]
+    wanted += [
+        requirement
+        for lines in extras.values()
+        for requirement in asked(lines)
+        if requirement.name != "twinmatch"
+    ]
     assert len(wanted) > 40
-    for one in wanted:
-        (pin,) = pinned[canonicalize_name(one.name)]
-        assert one.specifier.contains(pin.version, prereleases=True), f"{one}: make constraints"
+    for requirement in wanted:
+        (pin,) = pinned[canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(pin.version, prereleases=True), (
+            f"{requirement}: make constraints"
+        )
 
 
 def test_every_program_of_nodes_has_a_console_script() -> None:
@@ -123,9 +138,9 @@ def test_every_program_of_nodes_has_a_console_script() -> None:
 
 def test_a_program_that_there_is_not_is_answered_with_those_there_are() -> None:
     command = [sys.executable, "-m", "twinmatch.nodes", "playr"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert re.fullmatch(r"usage: python -m twinmatch\.nodes \{.*player,.*\} \[--help\]\n", done.stderr)
+    completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert completed.returncode == 2
+    assert re.fullmatch(r"usage: python -m twinmatch\.nodes \{.*player,.*\} \[--help\]\n", completed.stderr)
 
 
 @pytest.mark.parametrize("folder", [".", "src/twinmatch_msgs"])
@@ -226,8 +241,8 @@ for name in ("one", "two"):
     node.destroy_node()
 rclpy.shutdown()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    completed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "", "")
 
 
 def test_no_single_precision() -> None:

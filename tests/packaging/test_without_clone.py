@@ -37,8 +37,8 @@ def wheel(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     build = [*OPTIONS, "--no-build-isolation", "--wheel-dir", str(folder), str(sources)]
     subprocess.run([sys.executable, "-m", "pip", "wheel", *build], check=True)
-    (made,) = folder.glob("twinmatch-*.whl")
-    return made
+    (built,) = folder.glob("twinmatch-*.whl")
+    return built
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +54,20 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run([sys.executable, *install], check=True)
     (packages,) = (folder / "env" / "lib").glob("python3*/site-packages")
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    for kept in (PROJECT / "src" / "twinmatch").rglob("*.nb[ic]"):
-        shutil.copy(kept, packages / kept.relative_to(PROJECT / "src"))
+    for kernel_file in (PROJECT / "src" / "twinmatch").rglob("*.nb[ic]"):
+        shutil.copy(kernel_file, packages / kernel_file.relative_to(PROJECT / "src"))
     return folder / "env" / "bin"
 
 
 @pytest.fixture
 def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
     """Starts programs of that environment in an empty folder."""
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    inherited = {
+        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")
+    }
     path = os.pathsep.join([str(installed), "/usr/bin", "/bin"])
     # Where the messages of the libraries lie, which are in the environment of the tests.
-    started = Processes(tmp_path / "output", {**kept, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix})
+    started = Processes(tmp_path / "output", {**inherited, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix})
     yield started
     started.dismiss()
 

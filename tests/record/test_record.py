@@ -73,10 +73,10 @@ def report() -> MatchReport:
     match = without_fit(
         window, ("a", "b"), Peltier.model().parameters(), Status.NO_EXCITATION, "nothing moved"
     )
-    known = replace(
+    fitted = replace(
         match, starts={"sink": 296.0}, directions=np.array([[1.0, 2.0], [3.0, 4.0]]), believed=("b",)
     )
-    return MatchReport(8, 50.0, known)
+    return MatchReport(8, 50.0, fitted)
 
 
 def entries(kind: type) -> set[str]:
@@ -101,23 +101,23 @@ def test_the_message_has_the_fields_of_the_record(name: str) -> None:
     """A field of the one that the other lacks is found here, whichever it is."""
     text = (PROJECT / "src" / "twinmatch_msgs" / "msg" / f"{name}.msg").read_text()
     lines = (line.partition("#")[0].split() for line in text.splitlines())
-    told = {words[1] for words in lines if len(words) == 2 and "=" not in words[1]}
-    assert told - OF_THE_MESSAGE == entries(RECORDS[name])
+    field_names = {words[1] for words in lines if len(words) == 2 and "=" not in words[1]}
+    assert field_names - OF_THE_MESSAGE == entries(RECORDS[name])
 
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_method_says_how_to_read_every_field(name: str) -> None:
-    said = set(re.findall(r"`(\w+)`", METHOD))
-    missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - said
+    documented = set(re.findall(r"`(\w+)`", METHOD))
+    missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - documented
     assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
 
 
 def test_there_and_back() -> None:
     assert repr(object_of(Verdict, tree_of(VERDICT))) == repr(VERDICT)
-    again = object_of(MatchReport, tree_of(report()))
-    assert repr(again) == repr(report())
-    assert again.match.directions.shape == (2, 2)
-    assert again.match.intervals.shape == (2, 2)
+    read_back = object_of(MatchReport, tree_of(report()))
+    assert repr(read_back) == repr(report())
+    assert read_back.match.directions.shape == (2, 2)
+    assert read_back.match.intervals.shape == (2, 2)
 
 
 def test_what_is_absent_is_null_in_json() -> None:
@@ -168,18 +168,20 @@ def test_what_an_older_version_recorded_is_compared_as_far_as_both_know_it() -> 
 
 def test_every_bit_counts() -> None:
     tree = tree_of(VERDICT)
-    other = tree_of(VERDICT)
-    assert not list(differences(tree, other))
-    was = other["candidates"][1]["orders"][0]["total"]["bic"]
-    now = float(np.nextafter(was, np.inf))
-    other["candidates"][1]["orders"][0]["total"]["bic"] = now
-    assert list(differences(tree, other)) == [("candidates[1].orders[0].total.bic", was, now)]
+    changed = tree_of(VERDICT)
+    assert not list(differences(tree, changed))
+    was = changed["candidates"][1]["orders"][0]["total"]["bic"]
+    changed_bic = float(np.nextafter(was, np.inf))
+    changed["candidates"][1]["orders"][0]["total"]["bic"] = changed_bic
+    assert list(differences(tree, changed)) == [("candidates[1].orders[0].total.bic", was, changed_bic)]
 
 
 @given(st.floats(), st.floats())
 def test_floats_are_compared_by_their_bits(one: float, other: float) -> None:
-    same = struct.pack("<d", one) == struct.pack("<d", other) or (math.isnan(one) and math.isnan(other))
-    assert (not list(differences({"a": [one]}, {"a": [other]}))) is same
+    has_same_bits = struct.pack("<d", one) == struct.pack("<d", other) or (
+        math.isnan(one) and math.isnan(other)
+    )
+    assert (not list(differences({"a": [one]}, {"a": [other]}))) is has_same_bits
 
 
 @pytest.mark.parametrize(

@@ -115,8 +115,8 @@ def test_without_either_a_lie_heats_the_plate_to_its_end() -> None:
 
 
 def told_slowly(name: str, set_point: float, guard: OutputGuard) -> Ending:
-    told, lasts, begins = SLOW_LIES[name]
-    return lie_to(RIG, guard, RIG.plant(0), [set_point] * (begins + lasts), told, begins=begins)
+    reported, lasts, begins = SLOW_LIES[name]
+    return lie_to(RIG, guard, RIG.plant(0), [set_point] * (begins + lasts), reported, begins=begins)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_no_healthy_heater_runs_out_of_budget_in_a_draught(heater: int) -> None:
 def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
     """Though both of the measured parameters are 5 % off towards a plant that needs more drive."""
     plant = KIT.typical.replace(losses=9.0, heating=0.01, ambient=296.0)
-    known = ", ".join(
+    known_parameters = ", ".join(
         f"{name} = {value:.5g}"
         for name, value in (
             ("losses", 1.05 * plant["losses"]),
@@ -215,7 +215,7 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
         )
     )
     highest = []
-    for measured in ("", known):
+    for measured in ("", known_parameters):
         limits = replace(KIT.bridge.LIMITS, observer=ObserverLimits(known=measured))
         guard = OutputGuard(limits, KIT.bridge.observer(limits))
         ending = lie_to(KIT, guard, plant, [45.0] * 1500, drifting(-0.03), begins=10)
@@ -240,8 +240,8 @@ def test_what_is_known_of_a_plant_is_checked(known: str, message: str) -> None:
 
 
 def test_of_a_known_kit_each_heater_has_its_power() -> None:
-    known = ObserverLimits(known="heating = 0.012, second_heating = 0.004")
-    limits = replace(TCLabBridge.LIMITS, observer=known)
+    observer_limits = ObserverLimits(known="heating = 0.012, second_heating = 0.004")
+    limits = replace(TCLabBridge.LIMITS, observer=observer_limits)
     first, second = TCLabBridge.guards_of_both(limits)
     assert first.limits.observer.measured() == {"heating": 0.012, "second_heating": 0.004}
     assert second.limits.observer.measured() == {"second_heating": 0.012, "heating": 0.004}
@@ -262,13 +262,13 @@ def test_without_the_limit_a_frozen_sensor_passes_the_goal() -> None:
 
 def blind(guard: OutputGuard, begin: int, seconds: int) -> list[float]:
     """What passes of full drive, second by second, while the sensor reads 25 °C."""
-    passed = []
-    for now in range(begin, begin + seconds):
-        guard.command(255.0, now)
-        guard.temperature(25.0, now)
-        guard.loop(30.0, 25.0, 0.0, now)
-        passed.append(guard.output(now))
-    return passed
+    outputs = []
+    for second in range(begin, begin + seconds):
+        guard.command(255.0, second)
+        guard.temperature(25.0, second)
+        guard.loop(30.0, 25.0, 0.0, second)
+        outputs.append(guard.output(second))
+    return outputs
 
 
 def test_a_limit_is_lifted_by_the_operator_s_word_and_not_by_that_for_a_fault() -> None:
@@ -386,11 +386,11 @@ def judged(hour: Window, end: int | None = None) -> tuple[int | None, str, float
         reading = hour.output[k]
         reference = hour.reference[k]
         spent = budget.take(1.0, drive, reference, reading)
-        off = observer.take(1.0, drive, reading, reference=reference)
+        observer_alarm = observer.take(1.0, drive, reading, reference=reference)
         limited += hour.input[k] > 255.0 * observer.ceiling.share
         most = max(most, budget.spent / budget.allowed(reference))
-        if spent or off:
-            return k, spent or off or "", most, limited
+        if spent or observer_alarm:
+            return k, spent or observer_alarm or "", most, limited
     return None, "", most, limited
 
 
@@ -398,8 +398,8 @@ def judged(hour: Window, end: int | None = None) -> tuple[int | None, str, float
 def test_no_healthy_hour_of_the_real_rig_comes_near(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
-    at, _, most, limited = judged(recorded_hour(number))
-    assert at is None
+    alarm_second, _, most, limited = judged(recorded_hour(number))
+    assert alarm_second is None
     assert limited <= (12 if number == 1 else 3)
     assert most < (0.7 if number == 1 else 0.35)  # the sensor of the first really is frozen at its start
 
@@ -407,9 +407,9 @@ def test_no_healthy_hour_of_the_real_rig_comes_near(
 def test_the_lost_drive_of_a_real_hour_is_reported_with_both_rivals(
     recorded_hour: Callable[[int], Window],
 ) -> None:
-    at, words, *_ = judged(recorded_hour(27))
-    assert at is not None
-    assert 2235 < at < 2250
+    alarm_second, words, *_ = judged(recorded_hour(27))
+    assert alarm_second is not None
+    assert 2235 < alarm_second < 2250
     assert "the drive is lost, or the camera does not see the plate" in words
 
 
@@ -455,8 +455,8 @@ def test_a_budget_is_never_negative_and_drive_that_the_reading_needs_costs_nothi
         before = budget.spent
         message = budget.take(elapsed, drive, reference, reading)
         assert budget.spent >= 0.0
-        held = budget.limits.hold * max(0.0, reading - budget.limits.rest)
-        if drive <= held:
+        holding_drive = budget.limits.hold * max(0.0, reading - budget.limits.rest)
+        if drive <= holding_drive:
             assert budget.spent <= before
         if drive <= 0.0 or budget.spent <= budget.limits.least:
             assert message is None
@@ -474,17 +474,17 @@ def test_clearing_a_fault_does_not_refill_the_budget() -> None:
     assert guard.fault is not None
     assert guard.fault.kind is FaultKind.BUDGET
     guard.clear()
-    for now in (k / 2, k / 2 + 0.25, k / 2 + 0.5):
-        guard.command(255.0, now)
-        guard.temperature(25.0, now)
-        guard.output(now)
+    for command_time in (k / 2, k / 2 + 0.25, k / 2 + 0.5):
+        guard.command(255.0, command_time)
+        guard.temperature(25.0, command_time)
+        guard.output(command_time)
     assert guard.fault is not None
     guard.clear()
-    for rest in range(90):
-        now = k / 2 + 1 + rest
-        guard.command(0.0, now)
-        guard.temperature(25.0, now)
-        guard.output(now)
+    for resting_seconds in range(90):
+        command_time = k / 2 + 1 + resting_seconds
+        guard.command(0.0, command_time)
+        guard.temperature(25.0, command_time)
+        guard.output(command_time)
     assert guard.fault is None
 
 
@@ -523,8 +523,8 @@ def test_a_change_without_a_name_may_turn_out_to_be_the_drive_s(over: bool) -> N
         assert accusations.take(sample, trusted=False, fault="drift", reason="or the losses") is None
     if over:
         assert accusations.take(4, trusted=False, fault="", reason="") is None
-    told = accusations.take(5, trusted=False, fault="drive-lost", reason="evidence")
-    assert told == (None if over else "the twin, trusted at sample 1, reports drive-lost: evidence")
+    accusation = accusations.take(5, trusted=False, fault="drive-lost", reason="evidence")
+    assert accusation == (None if over else "the twin, trusted at sample 1, reports drive-lost: evidence")
 
 
 @pytest.mark.parametrize(

@@ -60,13 +60,13 @@ def test_nothing_passes_before_both_inputs_were_good() -> None:
 def test_each_fault_zeroes_the_output_and_latches(kind: FaultKind, break_it: object) -> None:
     guard = armed()
     break_it(guard)  # type: ignore[operator]
-    at = 3.4 if kind is FaultKind.TEMPERATURE_STALE else 1.1
-    assert guard.output(at) == 0.0
+    fault_time = 3.4 if kind is FaultKind.TEMPERATURE_STALE else 1.1
+    assert guard.output(fault_time) == 0.0
     assert guard.fault is not None
     assert guard.fault.kind is kind
-    guard.command(100.0, at)
-    guard.temperature(25.0, at)
-    assert guard.output(at) == 0.0
+    guard.command(100.0, fault_time)
+    guard.temperature(25.0, fault_time)
+    assert guard.output(fault_time) == 0.0
 
 
 def test_clearing_needs_new_inputs_before_anything_passes() -> None:
@@ -92,10 +92,10 @@ def test_the_first_fault_is_the_one_reported() -> None:
 def test_runaway_latches() -> None:
     guard = armed()
     for k in range(200):
-        now = k * 0.5
-        guard.command(255.0, now)
-        guard.temperature(25.0, now)
-        guard.loop(60.0, 25.0, 255.0, now)
+        time = k * 0.5
+        guard.command(255.0, time)
+        guard.temperature(25.0, time)
+        guard.loop(60.0, 25.0, 255.0, time)
     assert guard.fault is not None
     assert guard.fault.kind is FaultKind.RUNAWAY
     assert guard.output(100.0) == 0.0
@@ -184,11 +184,11 @@ def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if
     """The dangerous one is cold: the controller heats. A few wrong readings are skipped."""
     guard = OutputGuard()
     for tick in range(120):
-        now = tick / 10
+        time = tick / 10
         lies = 20 <= tick < 45 or tick >= 70
-        guard.temperature(20.0 if lies else 80.0, now)
-        guard.command(255.0, now)
-        guard.output(now)
+        guard.temperature(20.0 if lies else 80.0, time)
+        guard.command(255.0, time)
+        guard.output(time)
         assert guard.armed or tick > 95
     assert guard.fault is not None
     assert guard.fault.kind is FaultKind.TEMPERATURE_INVALID
@@ -229,39 +229,39 @@ def test_what_passes_is_always_a_fresh_good_command_on_a_fresh_good_temperature(
     story: list[tuple[float, tuple[str, float]]],
 ) -> None:
     guard = OutputGuard()
-    now = 0.0
+    time = 0.0
     good_command = good_temperature = -math.inf
     newest = 0.0
     broken = False
-    for wait, (what, value) in story:
-        now += wait
-        if what == "clear":
+    for wait, (event, value) in story:
+        time += wait
+        if event == "clear":
             guard.clear()
             good_command = good_temperature = -math.inf
             broken = False
-        elif what == "driver":
-            guard.trip(FaultKind.DRIVER, "x", now)
+        elif event == "driver":
+            guard.trip(FaultKind.DRIVER, "x", time)
             broken = True
-        elif what == "command":
-            guard.command(value, now)
+        elif event == "command":
+            guard.command(value, time)
             if math.isfinite(value) and abs(value) <= 255:
-                good_command = now
+                good_command = time
                 newest = value
             else:
                 broken = True
         else:
-            guard.temperature(value, now)
+            guard.temperature(value, time)
             if -10 <= value <= 110:
-                good_temperature = now
+                good_temperature = time
             else:
                 broken = True
-        output = guard.output(now)
+        output = guard.output(time)
         assert math.isfinite(output)
         if output != 0.0:
             assert not broken
             assert output == newest
-            assert now - good_command <= 1.0
-            assert now - good_temperature <= 3.0
+            assert time - good_command <= 1.0
+            assert time - good_temperature <= 3.0
 
 
 RIG = rig(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
@@ -293,10 +293,10 @@ def test_a_healthy_loop_raises_nothing_in_both_directions() -> None:
 
 @pytest.mark.parametrize(("at", "within"), [(20, 90), (320, 90)])
 def test_a_lost_drive_is_found_while_heating_and_while_cooling(at: int, within: int) -> None:
-    found = first_alarm(both_ways, lambda k, u: u if k < at else 0.0)
+    alarm = first_alarm(both_ways, lambda k, u: u if k < at else 0.0)
     # While cooling towards 25 °C a plate without drive still cools by itself; the alarm may only come
     # with the next heating.
-    assert at < found < (at + within if at < 300 else 600 + within)
+    assert at < alarm < (at + within if at < 300 else 600 + within)
 
 
 def test_a_reversed_cable_is_found_at_once() -> None:
@@ -316,9 +316,9 @@ def test_no_alarm_over_a_healthy_hour(number: int, recorded_hour: Callable[[int]
 
 
 def test_the_lost_drive_of_a_real_hour_is_found(recorded_hour: Callable[[int], Window]) -> None:
-    found = _alarm_in(recorded_hour(27))
-    assert found is not None
-    assert 2235 < found < 2355
+    alarm = _alarm_in(recorded_hour(27))
+    assert alarm is not None
+    assert 2235 < alarm < 2355
 
 
 def _alarm_in(hour: Window) -> int | None:
@@ -341,8 +341,8 @@ def test_time_begins_at_zero_and_follows_the_plant() -> None:
 
 def test_a_clock_that_goes_back_again_and_again_is_not_a_way_to_stay_young() -> None:
     clock = SafetyClock()
-    now = [clock.read((10 - k % 2) * SECOND, k * SECOND // 10) for k in range(8)]
-    assert now[-1] == 3.0
+    times = [clock.read((10 - k % 2) * SECOND, k * SECOND // 10) for k in range(8)]
+    assert times[-1] == 3.0
 
 
 def test_standing_still_is_measured_on_the_wall_clock() -> None:
@@ -378,15 +378,15 @@ def test_it_never_goes_back_and_a_deadline_has_an_end_on_the_wall_clock(
     clock = SafetyClock()
     plant = 0
     wall = 0
-    now = clock.read(plant, wall)
-    mark: tuple[float, float] = (now, -math.inf)
+    time = clock.read(plant, wall)
+    mark: tuple[float, float] = (time, -math.inf)
     for step, pause in steps:
         plant = plant + step
         wall = wall + pause
-        before = now
-        now = clock.read(plant, wall)
-        assert now >= before
-        assert now - before == pytest.approx(max(0, step) / SECOND)
-        if now - mark[0] >= clock.limits.progress:
-            mark = (now, wall)
+        before = time
+        time = clock.read(plant, wall)
+        assert time >= before
+        assert time - before == pytest.approx(max(0, step) / SECOND)
+        if time - mark[0] >= clock.limits.progress:
+            mark = (time, wall)
         assert clock.stopped == (wall - mark[1] > SECOND)

@@ -72,14 +72,14 @@ def test_what_is_taken_is_a_fresh_estimate_within_its_limits(
 ) -> None:
     """Whatever was estimated: the law never gets a value beyond the limit, too old, or of too wide a band."""
     stand_in = StandIn("temperature", 85.0, "°C")
-    now = 10.0
-    stand_in.accuse(now)
+    time = 10.0
+    stand_in.accuse(time)
     for pause, value, band in told:
-        now += pause
-        stand_in.take(value, band, 1.0, now)
-    value, trouble = stand_in.look(now + late)
+        time += pause
+        stand_in.take(value, band, 1.0, time)
+    value, trouble = stand_in.look(time + late)
     if not math.isnan(value):
         assert (value, trouble) == (told[-1][1], "")
         assert value <= 85.0
         assert told[-1][2] <= 1.0
-        assert now + late - now <= PATIENCE + 1e-9
+        assert time + late - time <= PATIENCE + 1e-9

@@ -36,7 +36,9 @@ class Bench:
 
     def __init__(self) -> None:
         self.truth = Peltier.model("sink with mass").parameters()
-        self.loop, self.states, self.k = Loop(Peltier), begin(self.truth, [23.0]), 0
+        self.loop = Loop(Peltier)
+        self.states = begin(self.truth, [23.0])
+        self.k = 0
         self.random = np.random.default_rng(3)
         self.off = 0.0
         self.silent = False

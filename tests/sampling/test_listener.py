@@ -44,9 +44,11 @@ class WaitingValues:
 
 
 def test_a_tick_has_its_own_values_though_newer_ones_wait_when_it_is_read() -> None:
-    given = {f"map.{name}": place for name, place in PLACES.items()} | {"period": PERIOD / NANOSECONDS}
-    now = 1_000 * NANOSECONDS
-    listener = listener_of("sampler", check("sampler", *understood("sampler", given)), lambda: now)
+    parameters = {f"map.{name}": place for name, place in PLACES.items()} | {"period": PERIOD / NANOSECONDS}
+    clock_time = 1_000 * NANOSECONDS
+    listener = listener_of(
+        "sampler", check("sampler", *understood("sampler", parameters)), lambda: clock_time
+    )
     opened: list[WaitingValues] = []
 
     def opens(channels: list[Channel], receive: Receive) -> WaitingValues:
@@ -57,8 +59,8 @@ def test_a_tick_has_its_own_values_though_newer_ones_wait_when_it_is_read() -> N
     listener.search()
     samples = []
     for tick in range(6):
-        opened[0].waiting.append((now, 20.0 + tick))
+        opened[0].waiting.append((clock_time, 20.0 + tick))
         samples += listener.samples()  # once per period, while a tick is ready a tenth of a period later
-        now += PERIOD
+        clock_time += PERIOD
     samples += listener.samples()
     assert [(s.index, s.output, s.input) for s in samples] == [(k, 20.0 + k, 20.0 + k) for k in range(6)]

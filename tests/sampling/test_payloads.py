@@ -29,7 +29,7 @@ DOCUMENTS = st.recursive(
 def leaves(document: Any) -> list[float]:
     if isinstance(document, dict | list):
         below = document.values() if isinstance(document, dict) else document
-        return [leaf for each in below for leaf in leaves(each)]
+        return [leaf for child in below for leaf in leaves(child)]
     return [document]
 
 

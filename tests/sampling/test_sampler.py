@@ -43,25 +43,25 @@ def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) ->
     """What the sampler makes of values by time, name and value, looked for every 10 ms."""
     samples = []
     waiting = sorted(told, key=lambda entry: entry[0])
-    for now in np.arange(0.0, until, 0.01):
-        while waiting and waiting[0][0] <= now:
-            at, name, value = waiting.pop(0)
+    for time in np.arange(0.0, until, 0.01):
+        while waiting and waiting[0][0] <= time:
+            arrival, name, value = waiting.pop(0)
             if name == "timer":
-                sampler.tick(ns(at))
+                sampler.tick(ns(arrival))
             else:
-                sampler.take(name, value, ns(at), ns(at))
-            samples += sampler.collect(ns(at))
-        samples += sampler.collect(ns(now))
+                sampler.take(name, value, ns(arrival), ns(arrival))
+            samples += sampler.collect(ns(arrival))
+        samples += sampler.collect(ns(time))
     return samples
 
 
 def loop(ticks: int, pause: tuple[float, float] = (0.0, 0.0)) -> list[tuple[float, str, float]]:
     """A foreign loop: a reading, 20 ms later the command; the set-point is sent once, at the beginning."""
-    told = [(0.0, "reference", 40.0)]
+    entries = [(0.0, "reference", 40.0)]
     for k in range(ticks):
-        at = k + (pause[1] if k >= pause[0] and pause[1] else 0.0)
-        told += [(at, "output", 20.0 + k), (at + 0.02, "input", 100.0 - k)]
-    return told
+        time = k + (pause[1] if k >= pause[0] and pause[1] else 0.0)
+        entries += [(time, "output", 20.0 + k), (time + 0.02, "input", 100.0 - k)]
+    return entries
 
 
 @pytest.mark.parametrize("paced_by", ["input", "output"])
@@ -81,12 +81,12 @@ def test_each_tick_of_the_loop_is_a_sample_with_what_belongs_to_it(paced_by: str
 
 def test_what_is_sent_behind_the_tick_belongs_to_it() -> None:
     """A program that publishes its command before the reading it was made from."""
-    told = [(0.0, "reference", 40.0)]
+    entries = [(0.0, "reference", 40.0)]
     for k in range(10):
-        told += [(k, "input", 100.0 - k), (k + 0.03, "output", 20.0 + k)]
-    samples = run(Sampler(SIGNALS, 1.0, "input", settle=0.1), told, 12.0)
+        entries += [(k, "input", 100.0 - k), (k + 0.03, "output", 20.0 + k)]
+    samples = run(Sampler(SIGNALS, 1.0, "input", settle=0.1), entries, 12.0)
     assert [(s.output, s.input) for s in samples] == [(20.0 + k, 100.0 - k) for k in range(10)]
-    late = run(Sampler(SIGNALS, 1.0, "input", settle=0.0), told, 12.0)
+    late = run(Sampler(SIGNALS, 1.0, "input", settle=0.0), entries, 12.0)
     assert (late[1].output, late[1].input) == (21.0, 98.0)  # without waiting it is that of the tick before
 
 
@@ -96,15 +96,15 @@ def test_a_pause_of_the_loop_is_a_gap_in_the_indices() -> None:
 
 
 def test_a_timer_continues_while_a_value_grows_old_and_says_so() -> None:
-    told = [entry for entry in loop(40) if not (entry[1] == "output" and 10 < entry[0] < 18)]
-    told += [(k + 0.5, "timer", 0.0) for k in range(40)]
+    entries = [entry for entry in loop(40) if not (entry[1] == "output" and 10 < entry[0] < 18)]
+    entries += [(k + 0.5, "timer", 0.0) for k in range(40)]
     sampler = Sampler(SIGNALS, 1.0, "timer")
-    samples = run(sampler, told, 12.8)
+    samples = run(sampler, entries, 12.8)
     assert samples[-1].index == 11
     assert not sampler.troubles
-    samples += run(sampler, [e for e in told if e[0] > 12.8], 14.8)
+    samples += run(sampler, [e for e in entries if e[0] > 12.8], 14.8)
     assert "the newest output is 3.5 s old" in sampler.troubles["output"]
-    samples += run(sampler, [e for e in told if e[0] > 14.8], 30.0)
+    samples += run(sampler, [e for e in entries if e[0] > 14.8], 30.0)
     assert sampler.counts["output"].late == sampler.idle == 6
     assert [s.index for s in samples][:20] == [*range(12), *range(18, 26)]
 
@@ -121,11 +121,11 @@ ALL = ("r1", "r2", "y1", "y2", "u1", "u2")
 
 def two_loops(ticks: int, late: float) -> list[tuple[float, str, float]]:
     """Two readings, and 20 ms later the commands, the second of which is so much later than the first."""
-    told = [(0.0, "r1", 40.0), (0.0, "r2", 50.0)]
+    entries = [(0.0, "r1", 40.0), (0.0, "r2", 50.0)]
     for k in range(ticks):
-        told += [(k, "y2", 60.0 - k), (k, "y1", 20.0 + k)]
-        told += [(k + 0.02, "u1", 100.0 - k), (k + 0.02 + late, "u2", 10.0 + k)]
-    return told
+        entries += [(k, "y2", 60.0 - k), (k, "y1", 20.0 + k)]
+        entries += [(k + 0.02, "u1", 100.0 - k), (k + 0.02 + late, "u2", 10.0 + k)]
+    return entries
 
 
 @pytest.mark.parametrize("late", [0.05, -0.01])
@@ -146,10 +146,10 @@ def test_a_tick_of_two_loops_is_one_sample_with_both_of_each(paced_by: str, late
 
 
 def test_a_tick_without_one_of_two_readings_has_no_sample() -> None:
-    told = [e for e in two_loops(20, 0.0) if e[1] in ALL[2:] and not (e[1] == "y2" and 5 <= e[0] < 15)]
+    entries = [e for e in two_loops(20, 0.0) if e[1] in ALL[2:] and not (e[1] == "y2" and 5 <= e[0] < 15)]
     unmapped = {name: Limits(2.0) for name in ALL if not name.startswith("r")}
     sampler = Sampler(unmapped, 1.0, "u1", loop=LOOPS)
-    samples = run(sampler, told, 25.0)
+    samples = run(sampler, entries, 25.0)
     assert [s.index for s in samples] == [*range(6), *range(15, 20)]  # at tick 6 it is older than 2 s
     assert sampler.counts["y2"].late == sampler.idle == 9
     assert {s.references for s in samples} == {(20.0, 60.0)}
@@ -175,7 +175,7 @@ def test_a_value_beyond_what_the_plant_can_be_given_makes_no_sample() -> None:
 
 def test_a_reading_beyond_the_span_is_another_unit_at_first_and_a_failed_sensor_later() -> None:
     signals = {**SIGNALS, "output": Limits(2.0, -20.0, 25.0, lenient=True)}
-    kelvin = [(at, name, value + 273.15 * (name == "output")) for at, name, value in loop(10)]
+    kelvin = [(time, name, value + 273.15 * (name == "output")) for time, name, value in loop(10)]
     sampler = Sampler(signals, 1.0)
     assert not run(sampler, kelvin, 12.0)
     assert "outside -20 to 25" in sampler.troubles["output"]
@@ -203,15 +203,15 @@ def test_ticks_that_come_at_once_with_their_own_times_are_not_mixed() -> None:
 
 def test_a_clock_that_was_set_back_leaves_no_value_of_the_time_to_come() -> None:
     sampler = Sampler(SIGNALS, 1.0)
-    run(sampler, [(100.0 + at, name, value) for at, name, value in loop(5)], 106.0)
+    run(sampler, [(100.0 + time, name, value) for time, name, value in loop(5)], 106.0)
     run(sampler, [(10.0, "input", 50.0)], 12.0)
     assert "after the tick" in sampler.troubles["output"]
 
 
 def test_values_that_are_not_numbers_are_only_counted() -> None:
     sampler = Sampler(SIGNALS, 1.0)
-    told = [(k + 0.01, "output", np.nan) for k in range(10)] + [(3.02, "input", np.inf)]
-    samples = run(sampler, sorted(told + loop(10)), 12.0)
+    invalid = [(k + 0.01, "output", np.nan) for k in range(10)] + [(3.02, "input", np.inf)]
+    samples = run(sampler, sorted(invalid + loop(10)), 12.0)
     assert len(samples) == 10
     assert (sampler.refused("output"), sampler.refused("input")) == (10, 1)
 
@@ -225,22 +225,22 @@ def test_the_mean_of_an_input_is_that_of_an_imported_recording(
 ) -> None:
     """`resample` puts rows of a table on a clock in its own way, by differences of a running sum."""
     rows = {-1.0: before, 0.95: before}
-    rows.update({round(at, 3): value for at, value in steps})
-    held = SignalBuffer()
-    for at, value in sorted(rows.items()):
-        held.push(value, ns(at))
+    rows.update({round(time, 3): value for time, value in steps})
+    buffer = SignalBuffer()
+    for time, value in sorted(rows.items()):
+        buffer.push(value, ns(time))
     times = np.array(sorted(rows))
-    table = resample(times, {"u": [rows[at] for at in times]}, {"u": "held"}, 1.0, longest=10.0)
-    at = int(np.flatnonzero(np.abs(table.time) < 1e-9)[0])
-    mean = held.mean(0, ns(1.0))
-    assert mean == pytest.approx(table.columns["u"][at], abs=1e-6)
+    table = resample(times, {"u": [rows[time] for time in times]}, {"u": "held"}, 1.0, longest=10.0)
+    time = int(np.flatnonzero(np.abs(table.time) < 1e-9)[0])
+    mean = buffer.mean(0, ns(1.0))
+    assert mean == pytest.approx(table.columns["u"][time], abs=1e-6)
 
 
 def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
-    held = SignalBuffer()
+    buffer = SignalBuffer()
     for k in range(100):
-        held.push(0.1, ns(0.037 * k))
-    assert held.mean(ns(0.5), ns(1.7)) == 0.1
+        buffer.push(0.1, ns(0.037 * k))
+    assert buffer.mean(ns(0.5), ns(1.7)) == 0.1
     assert SignalBuffer().mean(0, 1) is None
 
 
@@ -431,7 +431,7 @@ def test_a_channel_is_written_as_it_was_read_and_what_is_none_is_refused() -> No
 
 def numbers(times: np.ndarray, period: float = 1.0) -> list[int | None]:
     grid = Grid(round(period * SECOND))
-    return [grid.place(round(at * SECOND)) for at in times]
+    return [grid.place(round(time * SECOND)) for time in times]
 
 
 @given(
@@ -468,8 +468,8 @@ def test_numbers_by_hand(times: list[float], found: list[int | None]) -> None:
 
 def rate_of(times: np.ndarray) -> Rate:
     rate = Rate()
-    for at in times:
-        rate.push(round(at * SECOND))
+    for time in times:
+        rate.push(round(time * SECOND))
     return rate
 
 

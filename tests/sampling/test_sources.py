@@ -26,8 +26,10 @@ def test_an_entry_gives_the_mean_of_its_places_scaled_and_converted(
     one: float, other: float, scale: float, offset: float
 ) -> None:
     source = parse_source("here", f"/a:x, /b:x; unit=K; scale={scale!r}; offset={offset!r}")
-    found = source.follow("output", "°C", source.channels("output"), [KIND, KIND])
-    assert found.value([one, other]) == pytest.approx(scale * (one + other) / 2 + offset - 273.15, abs=1e-8)
+    followed = source.follow("output", "°C", source.channels("output"), [KIND, KIND])
+    assert followed.value([one, other]) == pytest.approx(
+        scale * (one + other) / 2 + offset - 273.15, abs=1e-8
+    )
 
 
 def test_each_place_has_a_unit_of_its_own() -> None:

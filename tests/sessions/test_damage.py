@@ -39,7 +39,7 @@ COUNT = 60
 def test_no_sample_is_lost_that_a_plain_reader_finds(tmp_path: Path, kind: int, compression) -> None:
     """`python -m benchmarks.damage` does the same with more and longer files."""
     sound = whole_file(COUNT, 10, compression)
-    there = samples_in(sound)
+    samples_of_whole = samples_in(sound)
     rng = random.Random(f"{kind} {compression}")
     for number in range(6):
         content = broken(sound, rng, kind)
@@ -49,28 +49,28 @@ def test_no_sample_is_lost_that_a_plain_reader_finds(tmp_path: Path, kind: int, 
             ours = {m.data for m in scan if m.topic.name == SAMPLE.name}
             samples = read_session(session).samples
         except TwinmatchError:
-            assert not plainly_found(content, there)
+            assert not plainly_found(content, samples_of_whole)
             continue
         assert len(samples) == len(ours)
-        assert len(ours & there) >= len(plainly_found(content, there))
+        assert len(ours & samples_of_whole) >= len(plainly_found(content, samples_of_whole))
         faults = repair_session(session).faults
         assert strictly_read(content) or any("damaged" in f or "truncated" in f for f in faults)
-        assert {encode_sample(s) for s in read_session(session).samples} >= ours & there
+        assert {encode_sample(s) for s in read_session(session).samples} >= ours & samples_of_whole
 
 
 def damaged(folder: Path) -> Path:
     """A session of which one chunk has a wrong checksum."""
     content = whole_file(COUNT, 10)
-    at = content.index(encode_sample(Sample(25, 1_000_025 * 10**9, 30.0, 25.5, 1.0))) + 80
-    return as_session(folder, content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+    place = content.index(encode_sample(Sample(25, 1_000_025 * 10**9, 30.0, 25.5, 1.0))) + 80
+    return as_session(folder, content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
 
 
 def test_what_is_missing_is_said_where_a_session_is_opened(tmp_path, capsys):
     session = open_shown(damaged(tmp_path / "run"))
     assert session.missing == session.notes[: len(session.missing)]
-    said = capsys.readouterr().err
-    assert "session run is not complete: run_0.mcap: the file is damaged: the checksum of a chunk" in said
-    assert "20 messages were read that no checksum confirms" in said
+    printed = capsys.readouterr().err
+    assert "session run is not complete: run_0.mcap: the file is damaged: the checksum of a chunk" in printed
+    assert "20 messages were read that no checksum confirms" in printed
 
 
 def test_a_memory_learns_from_a_damaged_session_only_if_told(tmp_path, capsys):
@@ -78,9 +78,9 @@ def test_a_memory_learns_from_a_damaged_session_only_if_told(tmp_path, capsys):
     memory = tmp_path / "memory.sqlite"
     words = ["remember", str(session), "--memory", str(memory), "--plant", "peltier"]
     assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "the checksum of a chunk is wrong" in said
-    assert "give --although to learn from what is there" in said
+    refusal = capsys.readouterr().err
+    assert "the checksum of a chunk is wrong" in refusal
+    assert "give --although to learn from what is there" in refusal
     assert Memory(memory).lessons() == []
     assert main([*words, "--although"]) == 0
     printed = capsys.readouterr()

@@ -236,17 +236,17 @@ def entry(**changes: object) -> str:
 def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str) -> None:
     with within(10, 50):
         try:
-            (found,) = parse_candidates(entry(**{field: value}), "file")
+            (candidate,) = parse_candidates(entry(**{field: value}), "file")
         except TwinmatchError as error:
             assert "\n" not in str(error)  # noqa: PT017 - for names, either outcome is right
             assert str(error).isprintable()  # noqa: PT017
             assert len(str(error)) < 800  # noqa: PT017
         else:
             if value == "[1]":
-                assert (field, found.operating_point) == ("operating_point", 1.0)
+                assert (field, candidate.operating_point) == ("operating_point", 1.0)
                 return
             assert field in {"name"}
-            assert found.name in {"2022-13-45", "True", "None"}
+            assert candidate.name in {"2022-13-45", "True", "None"}
 
 
 def test_an_operating_point_is_a_reading_that_the_sensor_can_give() -> None:
@@ -294,13 +294,15 @@ def test_remembered_candidates_come_back_from_their_text_bit_for_bit() -> None:
 
 def test_a_structure_is_taken_by_its_name() -> None:
     text = entry_candidates("plant: peltier, structure: 'sink with mass, sensor lag', sensor_lag: 0.4")
-    (found,) = parse_candidates(text, "family")
-    assert found.parameters == rig("sink with mass, sensor lag", sensor_lag=0.4)
+    (candidate,) = parse_candidates(text, "family")
+    assert candidate.parameters == rig("sink with mass, sensor lag", sensor_lag=0.4)
 
 
 def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
-    (found,) = parse_candidates(entry_candidates("sink_heat_capacity: 250.0, sink_convection: 6.0"), "family")
-    assert found.parameters == rig("sink with mass", sink_heat_capacity=250.0, sink_convection=6.0)
+    (candidate,) = parse_candidates(
+        entry_candidates("sink_heat_capacity: 250.0, sink_convection: 6.0"), "family"
+    )
+    assert candidate.parameters == rig("sink with mass", sink_heat_capacity=250.0, sink_convection=6.0)
 
 
 @pytest.mark.parametrize(
@@ -356,16 +358,16 @@ def test_what_was_written_down_before_plants_had_structures(
 ) -> None:
     """Every number that meant something then is there, and has the value it had."""
     values = OLD | changes
-    found = parameters_from("", "", values)
-    assert found.model is Peltier.model(structure)
-    assert all(found[name] == value for name, value in values.items() if name in found)
-    assert {name for name, value in values.items() if value and math.isfinite(value)} <= set(found)
+    parameters = parameters_from("", "", values)
+    assert parameters.model is Peltier.model(structure)
+    assert all(parameters[name] == value for name, value in values.items() if name in parameters)
+    assert {name for name, value in values.items() if value and math.isfinite(value)} <= set(parameters)
 
 
 def test_a_sink_that_was_held_beside_a_lag_is_a_sink_that_hardly_moves() -> None:
-    found = parameters_from("peltier", "", OLD | {"sensor_lag": 0.5})
-    assert found["sensor_lag"] == 0.5
-    assert found["sink_heat_capacity"] > 1e9
+    parameters = parameters_from("peltier", "", OLD | {"sensor_lag": 0.5})
+    assert parameters["sensor_lag"] == 0.5
+    assert parameters["sink_heat_capacity"] > 1e9
 
 
 # Our definitions are those of the installed messages, the hashes those of ROS 2; schemas of any types.

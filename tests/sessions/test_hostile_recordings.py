@@ -64,10 +64,10 @@ def test_a_name_that_cannot_be_used_is_one_line(tmp_path, capsys, command, name)
     (tmp_path / "run.csv").write_text(CSV)
     assert main(["import", str(tmp_path / "run.csv"), "-o", str(tmp_path / ("x" * 300))]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    more = {"forecast": ["--at", "5"]}.get(command, [])
-    more += ["-o", str(tmp_path / "out")] if command in {"import", "report"} else []
+    options = {"forecast": ["--at", "5"]}.get(command, [])
+    options += ["-o", str(tmp_path / "out")] if command in {"import", "report"} else []
     with within(30, 200):
-        assert main([command, str(tmp_path / name), *more]) == 2
+        assert main([command, str(tmp_path / name), *options]) == 2
     printed = capsys.readouterr().err
     assert printed.startswith("twinmatch: ")
     assert printed.count("\n") == 1

@@ -104,12 +104,14 @@ def test_stamps_outside_ros_time_are_refused(stamp):
 
 
 def test_a_sample_without_a_signal_is_refused():
-    for arrays, said in (
+    for arrays, numbers_of_signals in (
         (([], [3.0], []), "sample 9 has 0 references, 1 outputs and 0 inputs"),
         (([1.0, 2.0], [], [5.0]), "sample 9 has 2 references, 0 outputs and 1 inputs"),
     ):
         message = LoopSample(header(0, "plate"), 9, *map(np.array, arrays), np.array([]))
-        with pytest.raises(SessionError, match=f"session: {said}; every sample has at least one of each"):
+        with pytest.raises(
+            SessionError, match=f"session: {numbers_of_signals}; every sample has at least one of each"
+        ):
             decode_sample(bytes(STORE.serialize_cdr(message, SAMPLE.type)))
 
 
@@ -186,16 +188,16 @@ def test_recorded_parameters_get_their_names_of_today() -> None:
 
 def test_verdicts_are_compared_in_what_both_forms_have() -> None:
     """Whether they are the same to the last bit is a matter of versions; like is compared with like."""
-    found = verify_session(SESSION)
-    assert (found.samples, found.verdicts, found.matches) == (360, 6, 1)
-    assert found.notes[0].startswith(
+    verification = verify_session(SESSION)
+    assert (verification.samples, verification.verdicts, verification.matches) == (360, 6, 1)
+    assert verification.notes[0].startswith(
         "recorded in another form; fields that only one form has were not compared"
     )
-    assert " parameters.structure" in found.notes[0]
+    assert " parameters.structure" in verification.notes[0]
     for renamed in ("rms_y", "rms_u", "residual", " parameters.heat_capacity", "starts"):
-        assert renamed not in found.notes[0]
-    if found.difference is not None:
-        assert type(found.difference.recorded) is type(found.difference.computed)
+        assert renamed not in verification.notes[0]
+    if verification.difference is not None:
+        assert type(verification.difference.recorded) is type(verification.difference.computed)
 
 
 def test_a_replay_reads_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -233,24 +235,24 @@ def core() -> Path:
     if not module.is_dir():
         CACHE.mkdir(parents=True, exist_ok=True)
         options = ["--prefix", str(CACHE), "--ignore-scripts", "--no-audit", "--no-fund", "--no-save"]
-        done = subprocess.run(
+        completed = subprocess.run(
             ["npm", "install", *options, f"@mcap/core@{VERSION}"], capture_output=True, text=True, check=False
         )
-        if done.returncode:
-            pytest.skip(f"npm could not install @mcap/core: {done.stderr.strip().splitlines()[-1:]}")
+        if completed.returncode:
+            pytest.skip(f"npm could not install @mcap/core: {completed.stderr.strip().splitlines()[-1:]}")
     return module
 
 
 def test_the_web_reader_finds_the_same(tmp_path, core):
     samples = [Sample(k, 10**18 + k * 10**9, 30.0 + k // 500, 25.0 + k / 16, k / 4) for k in range(1000)]
     folder = write_session(tmp_path / "run", samples)
-    done = subprocess.run(
+    completed = subprocess.run(
         ["node", str(SCRIPT), str(folder / "run_0.mcap"), str(core)],
         capture_output=True,
         text=True,
         check=True,
     )
-    theirs = json.loads(done.stdout)
+    theirs = json.loads(completed.stdout)
     ours = read_session(folder)
     assert theirs["profile"] == "ros2"
     assert theirs["topics"] == {

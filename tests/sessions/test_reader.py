@@ -69,7 +69,7 @@ def test_it_reports_its_progress(tmp_path):
     size = (folder / "long_0.mcap").stat().st_size
     assert {total for _, total in calls} == {size}
     # 18,001 messages, spread evenly; a chunk that was read counts as a whole.
-    assert [done / size for done, _ in calls] == pytest.approx([5 / 18, 10 / 18, 15 / 18], abs=0.1)
+    assert [position / size for position, _ in calls] == pytest.approx([5 / 18, 10 / 18, 15 / 18], abs=0.1)
 
 
 def test_of_two_rigs_one_has_to_be_named(tmp_path):
@@ -279,12 +279,12 @@ def library_file(compression: CompressionType, *, use_chunking: bool = True) -> 
 
 def chunk_before(content: bytes, end: int) -> int:
     """Where the last chunk before a position begins."""
-    at = len(MAGIC)
+    place = len(MAGIC)
     chunk = 0
-    while at < end:
-        opcode, length = struct.unpack_from("<BQ", content, at)
-        chunk = at if opcode == 6 else chunk
-        at += 9 + length
+    while place < end:
+        opcode, length = struct.unpack_from("<BQ", content, place)
+        chunk = place if opcode == 6 else chunk
+        place += 9 + length
     return chunk
 
 
@@ -320,8 +320,8 @@ def taken_for(opcode: int):
     """Make the last chunk look like another record."""
 
     def spoil(whole: bytes) -> bytes:
-        at = chunk_before(whole, whole.index(encode_sample(SAMPLES[45])))
-        return whole[:at] + bytes([opcode]) + whole[at + 1 :]
+        place = chunk_before(whole, whole.index(encode_sample(SAMPLES[45])))
+        return whole[:place] + bytes([opcode]) + whole[place + 1 :]
 
     return spoil
 
@@ -331,16 +331,16 @@ def with_a_wrong_bit(sample: int, place: int):
 
     def spoil(whole: bytes) -> bytes:
         data = encode_sample(SAMPLES[sample])
-        at = whole.index(data) + len(data) - place
-        return whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+        byte = whole.index(data) + len(data) - place
+        return whole[:byte] + bytes([whole[byte] ^ 1]) + whole[byte + 1 :]
 
     return spoil
 
 
 def with_a_wrong_channel(whole: bytes) -> bytes:
     """Damage the definition of the topic in the first chunk; the summary still has it."""
-    at = whole.index(b"/plant/sample")
-    return whole[:at] + bytes(13) + whole[at + 13 :]
+    place = whole.index(b"/plant/sample")
+    return whole[:place] + bytes(13) + whole[place + 13 :]
 
 
 DAMAGED = "the file is damaged: "
@@ -351,8 +351,10 @@ INDEX = "the checksum of the index is wrong"
 
 def stating(messages: int):
     """Change the number of messages in the statistics."""
-    told = struct.Struct("<BQQ")
-    return lambda whole: whole.replace(told.pack(11, 56, COUNT), told.pack(11, 56, messages))
+    start_of_statistics = struct.Struct("<BQQ")
+    return lambda whole: whole.replace(
+        start_of_statistics.pack(11, 56, COUNT), start_of_statistics.pack(11, 56, messages)
+    )
 
 
 @pytest.mark.parametrize(
@@ -376,8 +378,8 @@ def stating(messages: int):
     ],
 )
 def test_what_can_be_read_is_read(tmp_path, whole, spoil, count, fault):
-    read, said = scan(tmp_path / "x.mcap", spoil(whole))
-    assert (read, said[: len(DAMAGED + fault)]) == (count, DAMAGED + fault)
+    read, faults = scan(tmp_path / "x.mcap", spoil(whole))
+    assert (read, faults[: len(DAMAGED + fault)]) == (count, DAMAGED + fault)
 
 
 def test_a_file_that_ends_early_is_truncated_and_a_whole_one_has_no_fault(tmp_path, whole):
@@ -456,5 +458,5 @@ def record_scan(opcode: int, body: bytes) -> bytes:
     ],
 )
 def test_invalid_records_are_reported(tmp_path, tail, fault):
-    count, said = scan(tmp_path / "x.mcap", MAGIC + tail)
-    assert (count, said[: len(fault)]) == (0, fault)
+    count, faults = scan(tmp_path / "x.mcap", MAGIC + tail)
+    assert (count, faults[: len(fault)]) == (0, fault)

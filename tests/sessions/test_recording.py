@@ -82,10 +82,10 @@ def test_a_plant_with_several_signals_has_samples_alone(tmp_path):
     session = read_session(write_session(tmp_path / "two", samples))
     assert session.samples == samples
     assert session.counts == {"/plant/sample": 20}
-    found = session.window()
-    assert (found.first, found.period) == (7, 0.5)
+    window_read = session.window()
+    assert (window_read.first, window_read.period) == (7, 0.5)
     for name in ("references", "outputs", "inputs", "disturbances"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(window, name))
+        np.testing.assert_array_equal(getattr(window_read, name), getattr(window, name))
     wrong = [*samples[:5], dataclasses.replace(samples[5], outputs=(1.0, math.nan))]
     with pytest.raises(SessionError, match=r"output of sample 12 is 1.0, nan; only finite values"):
         write_session(tmp_path / "wrong", wrong)
@@ -285,8 +285,8 @@ def test_every_file_stands_for_itself(tmp_path):
             records = {record.name: record.metadata for record in reader.iter_metadata()}
             assert len(list(reader.iter_messages())) == count
         assert records["twinmatch/settings"] == {"matcher": "{}"}
-        own = yaml.safe_load(records["rosbag2"]["serialized_metadata"])
-        assert (own["message_count"], own["relative_file_paths"]) == (count, [f"run_{k}.mcap"])
+        metadata = yaml.safe_load(records["rosbag2"]["serialized_metadata"])
+        assert (metadata["message_count"], metadata["relative_file_paths"]) == (count, [f"run_{k}.mcap"])
 
 
 def test_a_file_without_messages_does_not_widen_the_span(tmp_path):

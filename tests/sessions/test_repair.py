@@ -67,9 +67,9 @@ def check_whole(folder: Path, count: int) -> None:
 @pytest.mark.parametrize("split", [0, 25])
 def test_a_killed_recording_is_made_whole(tmp_path, split):
     folder = record(tmp_path / "run", split=split)
-    found = repair_session(folder)
-    assert (found.messages, found.duration, found.original) == (60, 59.0, None)
-    assert any("truncated" in fault for fault in found.faults)
+    repair = repair_session(folder)
+    assert (repair.messages, repair.duration, repair.original) == (60, 59.0, None)
+    assert any("truncated" in fault for fault in repair.faults)
     check_whole(folder, 60)
     assert read_session(folder).records["twinmatch/parameters/matcher"] == {"seed": "7"}
     assert {t.name for t in read_session(folder).topics} == {"/plant/sample", "/notes"}
@@ -83,8 +83,8 @@ def test_a_whole_session_is_left_alone_also_by_a_second_repair(tmp_path, finish)
     if not finish:
         repair_session(folder)
     before = content(folder)
-    found = repair_session(folder)
-    assert (found.faults, found.messages, found.original) == ((), 60, None)
+    repair = repair_session(folder)
+    assert (repair.faults, repair.messages, repair.original) == ((), 60, None)
     assert content(folder) == before
 
 
@@ -136,21 +136,21 @@ def test_of_a_damaged_session_the_original_is_kept(tmp_path, capsys):
     folder = record(tmp_path / "run", finish=True)
     file = folder / "run_0.mcap"
     data = bytearray(file.read_bytes())
-    at = data.index(encode_sample(Sample(33, 33 * SECOND, 30.0, 25.0, 1.0)))
-    data[at : at + 60] = bytes(60)
+    place = data.index(encode_sample(Sample(33, 33 * SECOND, 30.0, 25.0, 1.0)))
+    data[place : place + 60] = bytes(60)
     file.write_bytes(data)
     before = content(folder)
     shutil.copytree(folder, tmp_path / "same")
     assert main(["repair", str(tmp_path / "same")]) == 0
     assert f"the original was kept: {tmp_path / 'same'}.broken" in capsys.readouterr().out
-    found = repair_session(folder)
-    assert found.original == tmp_path / "run.broken"
-    assert content(found.original) == before
-    assert "only 59 of 60 messages are left" in found.faults[0]
+    repair = repair_session(folder)
+    assert repair.original == tmp_path / "run.broken"
+    assert content(repair.original) == before
+    assert "only 59 of 60 messages are left" in repair.faults[0]
     assert indices(folder) == [k for k in range(60) if k != 33]
-    assert any("only 59 of 60 messages are left" in what for what in read_session(folder).missing)
+    assert any("only 59 of 60 messages are left" in loss for loss in read_session(folder).missing)
     with Reader(folder) as reader:
-        assert reader.message_count == found.messages
+        assert reader.message_count == repair.messages
     assert repair_session(folder).faults == ()
     (folder / "metadata.yaml").unlink()
     with pytest.raises(SessionError, match=r"run\.broken of an earlier repair exists"):
@@ -246,9 +246,9 @@ def test_what_the_disk_refuses_leaves_the_original(tmp_path, monkeypatch):
 def test_the_command_says_what_was_saved(tmp_path, capsys):
     folder = record(tmp_path / "run")
     assert main(["repair", str(folder)]) == 0
-    said = capsys.readouterr().out
-    assert "the file is truncated" in said
-    assert "60 messages over 59.0 s were saved" in said
+    printed = capsys.readouterr().out
+    assert "the file is truncated" in printed
+    assert "60 messages over 59.0 s were saved" in printed
     assert main(["repair", str(folder)]) == 0
     assert "complete, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
     assert main(["repair", str(tmp_path / "nothing")]) == 2
@@ -297,12 +297,12 @@ def test_messages_that_are_missing_are_counted_and_the_original_is_kept(tmp_path
     folder = record(tmp_path / "run", split=25, finish=True)
     (folder / "run_1.mcap").unlink()
     before = content(folder)
-    found = repair_session(folder)
-    assert found.faults == (
+    repair = repair_session(folder)
+    assert repair.faults == (
         "metadata.yaml does not list the files that exist",
         "metadata.yaml lists other numbers of messages than the files hold: 60 of /plant/sample (35 found)",
     )
-    assert (found.messages, content(found.original)) == (35, before)
+    assert (repair.messages, content(repair.original)) == (35, before)
     listed = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (listed["message_count"], repair_session(folder).faults) == (35, ())
 
@@ -329,9 +329,9 @@ def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys,
         file.truncate(file.tell() // 2 if cut else file.tell())
     before = content(folder)
     assert main(["repair", str(folder)]) == 2
-    said = capsys.readouterr().err
-    assert f"was written by {repr(library) if library else 'another program'}; nothing was changed" in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert f"was written by {repr(library) if library else 'another program'}; nothing was changed" in printed
+    assert printed.count("\n") == 1
     assert content(folder) == before
     assert [p.name for p in tmp_path.iterdir()] == ["theirs"]
 
@@ -341,8 +341,8 @@ def test_what_two_repairs_have_lost_is_said_of_their_result(tmp_path):
     for index in (33, 12):
         file = folder / "run_0.mcap"
         data = bytearray(file.read_bytes())
-        at = data.index(encode_sample(Sample(index, index * SECOND, 30.0, 25.0, 1.0)))
-        data[at : at + 60] = bytes(60)
+        place = data.index(encode_sample(Sample(index, index * SECOND, 30.0, 25.0, 1.0)))
+        data[place : place + 60] = bytes(60)
         file.write_bytes(data)
         shutil.rmtree(repair_session(folder).original)
     (missing,) = read_session(folder).missing
@@ -375,6 +375,6 @@ def test_a_file_whose_author_cannot_be_read_is_repaired_and_kept(tmp_path):
     folder = record(tmp_path / "run", finish=True)
     file = folder / "run_0.mcap"
     file.write_bytes(file.read_bytes().replace(b"twinmatch", b"tw\xffnmatch", 1))
-    found = repair_session(folder)
-    assert found.original is not None
-    assert found.messages == 60
+    repair = repair_session(folder)
+    assert repair.original is not None
+    assert repair.messages == 60

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 from contextlib import closing
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -44,16 +45,12 @@ def test_rows_are_the_samples_with_these_indices(
         first = max(0, begin - 20) + first
         wanted = [s for s in samples if first <= s.index < first + count][:most]
         rows = spool.rows(first, count, most)
-        found = [
-            Sample(
-                row["index"].item(),
-                row["stamp"].item(),
-                *(tuple(row[name].tolist()) for name in SIGNALS),
-                seen=row["seen"].item(),
-            )
-            for row in rows
-        ]
-        assert found == wanted
+        assert [sample_of(row) for row in rows] == wanted
+
+
+def sample_of(row: np.void) -> Sample:
+    signals = [tuple(row[name].tolist()) for name in SIGNALS]
+    return Sample(row["index"].item(), row["stamp"].item(), *signals, seen=row["seen"].item())
 
 
 @given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
@@ -78,9 +75,9 @@ def test_a_sample_takes_no_memory() -> None:
     try:
         for k in range(1000, 9_000):
             spool.push(Sample(k, k, 1.0, 2.0, 3.0))
-        taken, _ = tracemalloc.get_traced_memory()
+        memory, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert taken < 8_000  # a byte per sample would be as much
+    assert memory < 8_000  # a byte per sample would be as much
     assert len(spool) == 9_000
     spool.close()

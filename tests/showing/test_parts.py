@@ -87,10 +87,13 @@ def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
     rows = criterion_rows(candidate)
     assert [(r.output, r.order) for r in rows[:3]] == [("y", "22221"), ("y", "33331"), ("y", "44441")]
     assert [r.chosen for r in rows[:3]] == [False, True, False]
-    best = {k: [row.cells[k].best for row in rows[:3]] for k in range(7)}
-    assert best[0] == best[1] == [False] * 3
-    assert best[2] == best[3] == [False, True, True]
-    assert best[4] == best[5] == best[6] == [False, False, True]
+
+    def is_best(column: int) -> list[bool]:
+        return [row.cells[column].best for row in rows[:3]]
+
+    assert is_best(0) == is_best(1) == [False] * 3
+    assert is_best(2) == is_best(3) == [False, True, True]
+    assert is_best(4) == is_best(5) == is_best(6) == [False, False, True]
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.integers(1, 12))
@@ -107,8 +110,8 @@ def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
     table = enumerate(zip(reference, window.output, window.input, strict=True))
     samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
     settings = TwinSettings()
-    held = filled_stretches(samples[:100] + samples[106:108] + samples[114:], settings)
-    parts = compare(held, plant, settings)
+    filled = filled_stretches(samples[:100] + samples[106:108] + samples[114:], settings)
+    parts = compare(filled, plant, settings)
     assert [len(p.window) for p in parts] == [100, 186]
     for part in parts:
         np.testing.assert_allclose(part.closed_residual_y, 0, atol=1e-6)
@@ -146,10 +149,10 @@ def lab(rgb: np.ndarray) -> np.ndarray:
 def test_colours_that_stand_side_by_side_are_distinguished(colours: tuple[str, ...], deficiency: str) -> None:
     """A difference of 10 in CIELAB is plain to see; 2 is just noticeable."""
     change = np.array(DEFICIENCIES[deficiency].split(), dtype=float).reshape(3, 3)
-    seen = [lab(np.clip(change @ linear(c), 0, 1)) for c in colours]
-    for k, one in enumerate(seen):
-        for other in seen[k + 1 :]:
-            assert np.linalg.norm(one - other) > 10
+    as_perceived = [lab(np.clip(change @ linear(c), 0, 1)) for c in colours]
+    for k, colour in enumerate(as_perceived):
+        for later_colour in as_perceived[k + 1 :]:
+            assert np.linalg.norm(colour - later_colour) > 10
 
 
 def test_text_is_dark_on_white() -> None:
@@ -193,11 +196,11 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
     assert sum(m.nominal for m in members) == 1
     for member in members:
         assert (member.window.first, member.window.last) == judged[0][0].match.samples
-        found = [
+        scores = [
             score(model, member.measured, 2, absolute=Peltier.output.absolute) for model in member.models
         ]
-        assert [s.total.gain for s in found] == [o.total.gain for o in member.score.orders]
-        assert [s.u.bic for s in found] == [o.u.bic for o in member.score.orders]
+        assert [s.total.gain for s in scores] == [o.total.gain for o in member.score.orders]
+        assert [s.u.bic for s in scores] == [o.u.bic for o in member.score.orders]
 
 
 def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
@@ -259,21 +262,21 @@ def forecast(
 
 def recorded(reference: Sequence[float], *, missing: int | None = None) -> list[Sample]:
     """Samples 0 and on; the output is 50 °C and a tenth of the index."""
-    found = [Sample(k, k * 10**9, r, 50 + 0.1 * k, 5.0 * k) for k, r in enumerate(reference)]
-    return [s for s in found if s.index != missing]
+    without_gap = [Sample(k, k * 10**9, r, 50 + 0.1 * k, 5.0 * k) for k, r in enumerate(reference)]
+    return [s for s in without_gap if s.index != missing]
 
 
 def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
     """A forecast of ten samples made at sample 10, a session of which has these set-points."""
-    told = forecast((50 + 0.1 * np.arange(11, 21)).tolist(), [60.0] * 10)
-    return fan(told, stretches(recorded(reference, missing=missing), 1.0))
+    made_forecast = forecast((50 + 0.1 * np.arange(11, 21)).tolist(), [60.0] * 10)
+    return fan(made_forecast, stretches(recorded(reference, missing=missing), 1.0))
 
 
 def test_it_is_compared_with_the_measurements() -> None:
-    found = around(reference=[60.0] * 40)
-    assert (found.past.last, found.measured.first, found.measured.last) == (10, 11, 20)  # type: ignore[union-attr]
-    np.testing.assert_allclose(found.error, 0, atol=1e-12)
-    y, u = found.in_band
+    compared = around(reference=[60.0] * 40)
+    assert (compared.past.last, compared.measured.first, compared.measured.last) == (10, 11, 20)  # type: ignore[union-attr]
+    np.testing.assert_allclose(compared.error, 0, atol=1e-12)
+    y, u = compared.in_band
     assert y.tolist() == [1.0] * 10
     assert u.tolist() == [float(abs(5 * k - (-200 + 300 * (k - 11) / 9)) <= 10) for k in range(11, 21)]
 
@@ -281,16 +284,16 @@ def test_it_is_compared_with_the_measurements() -> None:
 @given(st.integers(11, 25), st.integers(11, 25), st.integers(11, 30))
 def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(step: int, gone: int, end: int) -> None:
     reference = [60.0 if k < step else 70.0 for k in range(end)]
-    found = around(reference=reference, missing=gone)
-    assert found.judged == max(0, min(step, gone, end, 21) - 11)
-    assert found.error.size == found.in_band[0].size == found.in_band[1].size == found.judged
+    compared = around(reference=reference, missing=gone)
+    assert compared.judged == max(0, min(step, gone, end, 21) - 11)
+    assert compared.error.size == compared.in_band[0].size == compared.in_band[1].size == compared.judged
 
 
 def test_nothing_recorded_behind_it_is_nothing_to_say_and_what_was_known_ends_at_a_gap() -> None:
-    found = around(reference=[60.0] * 11)
-    assert found.measured is None
-    assert comparison_words(found, Peltier) == []
-    assert draw_forecasts([found], Peltier).axes
+    unmeasured = around(reference=[60.0] * 11)
+    assert unmeasured.measured is None
+    assert comparison_words(unmeasured, Peltier) == []
+    assert draw_forecasts([unmeasured], Peltier).axes
     assert around(reference=[60.0] * 30, missing=8).past.first == 9
 
 
@@ -300,27 +303,27 @@ def words(output: Sequence[float], reference: Sequence[float]) -> str:
 
 def test_each_set_point_ahead_has_its_answer() -> None:
     rise = [51.0 + k for k in range(20)]
-    told = words(rise, [60.0] * 15 + [90.0] * 5)
+    answer = words(rise, [60.0] * 15 + [90.0] * 5)
     # Within 1 °C by the mean at 59 °C, by the band's edges 0.5 °C before and after.
     arrival = "first after 9 s (9 to 10), but it does not stay there"
-    assert f"within 1 °C of 60 °C (set-point from 1 to 15 s): {arrival}" in told
-    assert "within 1 °C of 90 °C (set-point from 16 to 20 s): not in that time" in told
-    assert "temperature after 20 s: 70.0 °C, within 69.5 to 70.5 °C in 90 % of such cases" in told
-    assert "width of the band: 1.0 °C and 20 PWM at 10 s" in told
-    assert "largest control: 200 PWM after 1 s (190 to 210)" in told
+    assert f"within 1 °C of 60 °C (set-point from 1 to 15 s): {arrival}" in answer
+    assert "within 1 °C of 90 °C (set-point from 16 to 20 s): not in that time" in answer
+    assert "temperature after 20 s: 70.0 °C, within 69.5 to 70.5 °C in 90 % of such cases" in answer
+    assert "width of the band: 1.0 °C and 20 PWM at 10 s" in answer
+    assert "largest control: 200 PWM after 1 s (190 to 210)" in answer
 
 
 def test_what_is_there_already_is_not_reached_and_of_a_ramp_only_the_end_is_reported() -> None:
     assert "within 1 °C of 60 °C: all the time" in words([60.0] * 12, [60.0] * 12)
-    told = words(np.linspace(50, 70, 20).tolist(), np.linspace(50, 70, 20).tolist())
-    assert told.count("within 1 °C of") == 1
-    assert "within 1 °C of 70 °C" in told
+    answer = words(np.linspace(50, 70, 20).tolist(), np.linspace(50, 70, 20).tolist())
+    assert answer.count("within 1 °C of") == 1
+    assert "within 1 °C of 70 °C" in answer
 
 
 def test_the_picture_has_three_panels_for_each_and_explains_every_line_once() -> None:
     figure = draw_forecasts([around(reference=[60.0] * 40)] * 4, Peltier)
     assert len(figure.axes) == 12
-    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
     lines = ("set-point", "90 % band", "measured before", "measured afterwards", "forecast")
-    assert sorted(said) == sorted(lines)
+    assert sorted(legend) == sorted(lines)
     assert draw_forecasts([], Peltier).axes[0].texts[0].get_text() == "no forecast was made"

@@ -41,10 +41,10 @@ def test_an_open_server_says_so(tmp_path: Path, words: tuple[str, ...], told: st
 @pytest.mark.parametrize(("command", "port"), [("dashboard", 5006), ("foxglove", 8765)])
 def test_an_address_of_another_machine_is_one_line(tmp_path: Path, command: str, port: int) -> None:
     words = (sys.executable, "-m", "twinmatch.cli", command, "--address", "203.0.113.7")
-    done = Process(*words, output=tmp_path / "said.txt", forked=True)
-    assert done.wait() == 2, done.text
-    assert f"{command}: 203.0.113.7:{port} cannot be used: Cannot assign" in done.text
-    assert len(done.lines) == 1
+    process = Process(*words, output=tmp_path / "said.txt", forked=True)
+    assert process.wait() == 2, process.text
+    assert f"{command}: 203.0.113.7:{port} cannot be used: Cannot assign" in process.text
+    assert len(process.lines) == 1
 
 
 @pytest.mark.parametrize(("command", "name"), [("dashboard", "bokeh"), ("foxglove", "foxglove")])

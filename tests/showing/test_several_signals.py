@@ -31,13 +31,13 @@ def test_the_summary_names_every_output(two: Judgement) -> None:
     assert two.summary.fits is not None
     first, second = two.summary.fits.outputs
     trusted = next(v for v in reversed(two.verdicts) if v.level is TrustLevel.TRUSTED)
-    said = sentence(replace(two.summary, level=trusted.level, why=trusted.level_reason))
-    assert f"{T1} fit {100 * first:.1f} %, {T2} fit {100 * second:.1f} %" in said
-    assert f"°C of {T1}" in said
-    assert said.endswith(f"Faults: sensor-drift of {T2} since 1500 s.")
-    made = json.loads(json.dumps(document(two.name, two.verdicts, two.summary, two.matches)))
-    assert made["summary"]["fit"] == {"y": [first, second], "u": [None, None]}
-    assert [score["signal"] for score in made["verdicts"][-1]["signals"]] == [
+    summed_up = sentence(replace(two.summary, level=trusted.level, why=trusted.level_reason))
+    assert f"{T1} fit {100 * first:.1f} %, {T2} fit {100 * second:.1f} %" in summed_up
+    assert f"°C of {T1}" in summed_up
+    assert summed_up.endswith(f"Faults: sensor-drift of {T2} since 1500 s.")
+    written = json.loads(json.dumps(document(two.name, two.verdicts, two.summary, two.matches)))
+    assert written["summary"]["fit"] == {"y": [first, second], "u": [None, None]}
+    assert [score["signal"] for score in written["verdicts"][-1]["signals"]] == [
         "temperature",
         "second_temperature",
     ]
@@ -71,8 +71,8 @@ def test_lines_name_the_signal_of_a_fault(two: Judgement) -> None:
 )
 def test_an_estimate_says_for_how_long_yet_it_is_good(sample: int, words: str) -> None:
     estimate = EstimatedReading(sample, "second", 41.27, 0.94, 46.3, since=500, wide=1.2, good=600.0)
-    said = f"the twin reads through {T2}: 41.3 ± 0.9 °C instead of 46.3, to ± 1.2 {words}"
-    assert estimate_words(estimate, QUANTITY, 1.0) == said
+    expected = f"the twin reads through {T2}: 41.3 ± 0.9 °C instead of 46.3, to ± 1.2 {words}"
+    assert estimate_words(estimate, QUANTITY, 1.0) == expected
     assert estimate_words(replace(estimate, good=4200.0, sample=500), QUANTITY, 1.0).endswith("an hour")
 
 
@@ -97,20 +97,20 @@ def short(kit: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_replay_shows_it_alone_and_in_a_table(
     short: Path, driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = [str(short), "--config", str(driven)]
+    arguments = [str(short), "--config", str(driven)]
     wanted = tmp_path / "one.json"
     figure = tmp_path / "one.png"
-    assert main(["replay", *given, "--json", str(wanted), "--figure", str(figure)]) == 0
+    assert main(["replay", *arguments, "--json", str(wanted), "--figure", str(figure)]) == 0
     assert f"; {T1} fit " in capsys.readouterr().out
     assert figure.read_bytes().startswith(b"\x89PNG")
-    one = json.loads(wanted.read_text())
+    single_document = json.loads(wanted.read_text())
     many = tmp_path / "many.json"
-    assert main(["replay", *given, "--jobs", "1", "--json", str(many)]) == 0
+    assert main(["replay", *arguments, "--jobs", "1", "--json", str(many)]) == 0
     table = capsys.readouterr().out
-    found = json.loads(many.read_text())
-    assert found["sessions"][0]["summary"] == one["summary"]
-    rows = found["candidates"]
-    assert [row["name"] for row in rows] == [c["name"] for c in one["verdicts"][-1]["candidates"]]
+    table_document = json.loads(many.read_text())
+    assert table_document["sessions"][0]["summary"] == single_document["summary"]
+    rows = table_document["candidates"]
+    assert [row["name"] for row in rows] == [c["name"] for c in single_document["verdicts"][-1]["candidates"]]
     assert all(len(row["fit"]["y"]) == 2 and row["criteria"] is None for row in rows)
     assert f"fit {T1}" in " ".join(table.split())
     assert "gain" not in table

@@ -59,8 +59,12 @@ def last_screen(written: str) -> list[str]:
 def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
     """The cells of every candidate, by its name; marks are left out."""
     rows = [re.sub("^[▶○]* *", "", line.strip()) for line in screen]
-    found = [re.split(r" {2,}", row) for row in rows if re.match(r"\d+ °C  ", row)]
-    return {cells[0]: [cell.strip() for cell in cells[1:]] for cells in found}
+    of_candidates = [row for row in rows if re.match(r"\d+ °C  ", row)]
+    table = {}
+    for row in of_candidates:
+        name, *cells = re.split(r" {2,}", row)
+        table[name] = [cell.strip() for cell in cells]
+    return table
 
 
 def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement) -> None:
@@ -103,11 +107,11 @@ def test_level_progress_fault_and_events_are_reported(judged: Judgement) -> None
     assert "drive_lost" in text
     assert "100 %, 0:12:00 of 0:12:00 h" in text
     assert " FAULT " in text
-    told = next(v for v in judged.verdicts if v.fault)
-    assert f"fault drive-lost since {told.fault_since} s" in text
-    assert f"{told.sample} s ! fault: drive-lost" in text
+    first_fault = next(v for v in judged.verdicts if v.fault)
+    assert f"fault drive-lost since {first_fault.fault_since} s" in text
+    assert f"{first_fault.sample} s ! fault: drive-lost" in text
     assert "match admitted: candidate 70 °C" in text
-    assert f"{nominal_score(told).name} is nominal" in text  # type: ignore[union-attr]
+    assert f"{nominal_score(first_fault).name} is nominal" in text  # type: ignore[union-attr]
     assert f"{next(v.leader for v in judged.verdicts if v.leader)} leads" in text
     assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
 

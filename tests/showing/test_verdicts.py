@@ -71,11 +71,11 @@ def test_every_figure_stands_below_its_name_and_the_reason_below_them() -> None:
 
 def test_what_is_not_known_is_a_dash() -> None:
     assert set(cells(line_text(NONE_YET).splitlines()[0])[2:]) == {"–"}
-    known = row(verdict(TRUSTED, stands=False))
-    unknown = row(NONE_YET)
-    assert list(known) == list(unknown)
-    assert list(known.values())[1:6] == ["trusted", "–", "22221", "1200", "0.250"]
-    assert set(list(unknown.values())[2:11]) == {"–"}
+    known_row = row(verdict(TRUSTED, stands=False))
+    unknown_row = row(NONE_YET)
+    assert list(known_row) == list(unknown_row)
+    assert list(known_row.values())[1:6] == ["trusted", "–", "22221", "1200", "0.250"]
+    assert set(list(unknown_row.values())[2:11]) == {"–"}
 
 
 def test_a_fault_is_reported_by_name_and_a_reason_stays_one_line() -> None:
@@ -93,8 +93,8 @@ def test_a_long_name_does_not_run_into_the_next_column() -> None:
 def test_a_nominal_structure_has_no_order_and_no_gain() -> None:
     """It stands in the family without Box–Jenkins models."""
     sink = replace(CANDIDATE, name="sink with mass", orders=(), chosen_order="")
-    told = line_text(replace(LED, nominal=sink.name, candidates=(CANDIDATE, sink)))
-    assert re.search(r"yes +– +– +0\.250 .* sink with mass  sink with mass", told)
+    line = line_text(replace(LED, nominal=sink.name, candidates=(CANDIDATE, sink)))
+    assert re.search(r"yes +– +– +0\.250 .* sink with mass  sink with mass", line)
 
 
 def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,9 +102,9 @@ def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.C
     story = [NONE_YET, NONE_YET, LED, replace(LED, stands=True, sample=360)]
     for view in (Lines(), Lines(1.0, Console(file=stream, width=40))):
         view.open()
-        for told in story:
-            view.take_verdict(told)
-            view.advance(told.sample)
+        for news in story:
+            view.take_verdict(news)
+            view.advance(news.sample)
         view.say("[twin] a [bold]word[/] of somebody else's that is longer than forty characters")
         view.close()
     printed = capsys.readouterr().out
@@ -132,15 +132,15 @@ def test_news_are_what_was_identified_refused_or_changed() -> None:
         ([cool, replace(cool, nominal="70 °C"), trusted, replace(trusted, stands=False)], [0, 1, 2, 3]),
         ([STANDS, STANDS, replace(STANDS, match=REFUSED, reason="match refused"), STANDS], [0, 2]),
     ):
-        told = [replace(v, sample=place) for place, v in enumerate(story)]
+        verdicts = [replace(v, sample=place) for place, v in enumerate(story)]
         so_far = News()
-        assert [v.sample for v in told if so_far.is_new(v)] == new
+        assert [v.sample for v in verdicts if so_far.is_new(v)] == new
     assert News().is_new(verdict(TRUSTED))
 
 
 def test_the_summary_tells_the_last_refusal() -> None:
-    told = [replace(STANDS, match=REFUSED, reason=f"match refused: {k}") for k in range(2)]
-    tally = Tally([*told, replace(STANDS, match=ADMITTED, reason="admitted"), STANDS])
+    refused = [replace(STANDS, match=REFUSED, reason=f"match refused: {k}") for k in range(2)]
+    tally = Tally([*refused, replace(STANDS, match=ADMITTED, reason="admitted"), STANDS])
     assert tally.refusal == "match refused: 1"
     assert Tally([STANDS]).refusal == ""
 
@@ -148,9 +148,9 @@ def test_the_summary_tells_the_last_refusal() -> None:
 def test_a_new_leader_is_reported() -> None:
     story = [verdict(UNKNOWN, 60, nominal=None), verdict(TRUSTED, 120)]
     story += [verdict(TRUSTED, 180, leader=name) for name in ("a", "a", "b")]
-    found = {e.title: e.why for e in events(story) if e.kind is EventKind.LEADER}
+    reasons = {e.title: e.why for e in events(story) if e.kind is EventKind.LEADER}
     better = "its forecasts are better than those of a"
-    assert found == {"a leads": "the first with forecasts", "b leads": better}
+    assert reasons == {"a leads": "the first with forecasts", "b leads": better}
 
 
 def test_events_come_in_order_with_their_kind_and_reason() -> None:
@@ -162,7 +162,7 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
         "miss_u": 0.5,
         "miss_since": 181,
     }
-    found = events(
+    reported = events(
         [
             verdict(UNKNOWN, 60, nominal=None),
             verdict(TRUSTED, 120, match=ADMITTED, reason="matched on these samples"),
@@ -172,7 +172,7 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
             verdict(FAULT, 300, fault_since=295, dismissed=("50 °C",), **lost),
         ]
     )
-    assert [(e.sample, e.kind) for e in found] == [
+    assert [(e.sample, e.kind) for e in reported] == [
         (120, EventKind.ADMITTED),
         (120, EventKind.NOMINAL),
         (120, EventKind.LEVEL),
@@ -182,11 +182,11 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
         (260, EventKind.FAULT),
         (300, EventKind.DISMISSED),
     ]
-    assert (found[0].title, found[0].why) == ("match admitted", "matched on these samples")
-    assert (found[3].title, found[3].why) == ("match refused", "on its bound")
-    assert found[7].title == "50 °C dismissed"
-    assert "output 3.0 and control 0.5 half band widths from the forecast" in found[5].why
-    assert found[6] == Event(
+    assert (reported[0].title, reported[0].why) == ("match admitted", "matched on these samples")
+    assert (reported[3].title, reported[3].why) == ("match refused", "on its bound")
+    assert reported[7].title == "50 °C dismissed"
+    assert "output 3.0 and control 0.5 half band widths from the forecast" in reported[5].why
+    assert reported[6] == Event(
         260, EventKind.FAULT, "fault: drive-lost", "why it is so (since sample 255)", Mark.BAD
     )
 
@@ -214,13 +214,13 @@ def report(sample: int, status: Status) -> MatchReport:
 
 def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
     """Whatever the gate said: the discriminator may refuse what the gate accepted."""
-    told = verdict(TRUSTED, 200, match=REFUSED, reason="no models identified for candidate 50 °C")
-    assert match_word(report(200, Status.ACCEPTED), [told]) == "refused"
-    assert match_word(report(200, Status.BOUNDS_HIT), [told]) == "refused: a parameter reached its bound"
+    refusing = verdict(TRUSTED, 200, match=REFUSED, reason="no models identified for candidate 50 °C")
+    assert match_word(report(200, Status.ACCEPTED), [refusing]) == "refused"
+    assert match_word(report(200, Status.BOUNDS_HIT), [refusing]) == "refused: a parameter reached its bound"
     assert match_word(report(200, Status.ACCEPTED), []) == ""
-    joined = replace(told, match=ADMITTED)
+    joined = replace(refusing, match=ADMITTED)
     assert match_word(report(200, Status.ACCEPTED), [joined]) == "admitted"
-    assert admitted([told]) == frozenset()
+    assert admitted([refusing]) == frozenset()
     assert admitted([joined]) == {200}
 
 
@@ -372,14 +372,14 @@ def test_the_end_is_notes_structure_the_sentence_and_below_it_the_family() -> No
 
 def test_the_sentence_names_the_newest_faults() -> None:
     lost = {"fault": "drive-lost", "fault_since": 310}
-    said = [
+    verdicts = [
         verdict(TrustLevel.TRUSTED),
         verdict(TrustLevel.FAULT, 320, **lost),
         verdict(TrustLevel.FAULT, 360, **lost),
         verdict(TrustLevel.UNKNOWN, 400),
         verdict(TrustLevel.DOUBTFUL, 500, fault="room-changed", fault_since=470),
     ]
-    stretches = tuple(Tally(said).stretches)
+    stretches = tuple(Tally(verdicts).stretches)
     assert [s for s in stretches if s.fault] == [
         LevelStretch(310, 399, FAULT, "drive-lost"),
         LevelStretch(470, 500, DOUBTFUL, "room-changed"),
@@ -391,15 +391,15 @@ def test_the_sentence_names_the_newest_faults() -> None:
 
 def test_without_a_leader_there_is_nothing_to_doubt() -> None:
     behind = replace(LED.forecasts[0], persistence_skill=(-0.5,), persistence_skill_high=(-0.4,))
-    told = replace(LED, horizons=(10.0,), forecasts=(behind,))
-    assert told.doubts.endswith("than saying that nothing changes, with 1.50 times the error")
-    assert replace(told, leader=None).doubts == ""
+    doubtful = replace(LED, horizons=(10.0,), forecasts=(behind,))
+    assert doubtful.doubts.endswith("than saying that nothing changes, with 1.50 times the error")
+    assert replace(doubtful, leader=None).doubts == ""
 
 
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:
-    found = trust_range([(22.3, 89.7)], "°C", 1)
-    assert found == TrustRange(((22.3, 89.7),), "°C")
-    assert str(found) == "between 23 and 89 °C"
+    held_range = trust_range([(22.3, 89.7)], "°C", 1)
+    assert held_range == TrustRange(((22.3, 89.7),), "°C")
+    assert str(held_range) == "between 23 and 89 °C"
     # Readings of the tank have a noise of 0.005 l/s; in whole litres there would be no range at all.
     assert str(trust_range([(0.612, 0.977)], "l/s", Tank.output.decimals)) == "between 0.62 and 0.97 l/s"
     # nothing is left to round away
@@ -410,9 +410,9 @@ def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places(
 def test_all_levels_at_which_forecasts_held_are_named_or_the_widest() -> None:
     """A verdict knows the range around the newest reading: being at 30 °C takes nothing away from 90."""
     ranges = [(81.5, 85.0), (80.5, 92.7), (math.nan, math.nan), (24.3, 30.0), (24.3, 33.0)]
-    told = Tally(replace(LED, held_low=low, held_high=high) for low, high in ranges)
-    assert told.held == [(24.3, 33.0), (80.5, 92.7)]
-    assert str(trust_range(told.held, "°C", 1)) == "between 25 and 33 °C and between 81 and 92 °C"
+    tally = Tally(replace(LED, held_low=low, held_high=high) for low, high in ranges)
+    assert tally.held == [(24.3, 33.0), (80.5, 92.7)]
+    assert str(trust_range(tally.held, "°C", 1)) == "between 25 and 33 °C and between 81 and 92 °C"
     many = TrustRange(((10.0, 10.5), (20.0, 23.0), (30.0, 31.0), (40.0, 46.0), (50.0, 55.0)), "°C")
     assert str(many) == "between 20 and 23 °C, between 40 and 46 °C and between 50 and 55 °C"
 

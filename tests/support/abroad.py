@@ -63,10 +63,10 @@ class Cascade(Plant, name="cascade"):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """Torricelli's law, which bends below a tenth of a volt."""
-        passed = self.upper_hole * self.upper / (self.upper + 0.1) ** 0.5
-        left = self.lower_hole * self.lower / (self.lower + 0.1) ** 0.5
+        from_upper = self.upper_hole * self.upper / (self.upper + 0.1) ** 0.5
+        from_lower = self.lower_hole * self.lower / (self.lower + 0.1) ** 0.5
         return Equations(
-            rates={self.upper: self.pump * self.pumping - passed, self.lower: passed - left},
+            rates={self.upper: self.pump * self.pumping - from_upper, self.lower: from_upper - from_lower},
             output=self.lower,
             start={self.lower: self.level, self.upper: self.level},
         )
@@ -92,30 +92,30 @@ def _rig(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     across = p["conductance"] * (plate - sink)
     to_room = around.losses * p["convection"] * (sink - around.room - KELVIN)
     drawn = p["seebeck"] * plate * current
-    given = p["seebeck"] * sink * current
+    released = p["seebeck"] * sink * current
     return (
         (joule - drawn - across + around.load) / p["capacity"],
-        (given + joule + across - to_room) / p["sink_capacity"],
+        (released + joule + across - to_room) / p["sink_capacity"],
     )
 
 
 def _kit(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
-    heater, seen = x
+    heater, sensor = x
     room = around.room + KELVIN
     lost = around.losses * p["losses"] * 1e-3 * (heater - room) + 5.1e-11 * (heater**4 - room**4)
-    return (p["heating"] * u + around.load - lost) / p["capacity"], (heater - seen) / p["lag"]
+    return (p["heating"] * u + around.load - lost) / p["capacity"], (heater - sensor) / p["lag"]
 
 
 def _incubator(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
-    air, bed, box, seen = x
-    given = p["bed_conductance"] * (bed - air)
+    air, bed, box, sensor = x
+    from_bed = p["bed_conductance"] * (bed - air)
     into = p["box_conductance"] * (air - box)
     opened = (around.losses - 1.0) * p["box_conductance"] * (air - around.room)
     return (
-        (given + around.load - into - opened) / p["air_capacity"],
-        (p["power"] * u - given) / p["bed_capacity"],
+        (from_bed + around.load - into - opened) / p["air_capacity"],
+        (p["power"] * u - from_bed) / p["bed_capacity"],
         (into - p["wall_conductance"] * (box - around.room)) / p["box_capacity"],
-        (air - seen) / p["lag"],
+        (air - sensor) / p["lag"],
     )
 
 
@@ -129,11 +129,13 @@ def _motor(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
 def _tanks(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     upper = max(x[0], 0.0)
     lower = max(x[1], 0.0)
-    passed = p["upper_hole"] * math.sqrt(upper)
-    left = p["lower_hole"] * math.sqrt(lower)
+    from_upper = p["upper_hole"] * math.sqrt(upper)
+    from_lower = p["lower_hole"] * math.sqrt(lower)
     spilt = max(upper - p["rim"], 0.0)  # what is above the rim leaves within a second; half of it falls below
     away = max(lower - p["rim"], 0.0)
-    return p["pump"] * u - passed - spilt, passed + 0.5 * spilt - around.losses * left - away + around.load
+    return p[
+        "pump"
+    ] * u - from_upper - spilt, from_upper + 0.5 * spilt - around.losses * from_lower - away + around.load
 
 
 @dataclass(frozen=True)
@@ -371,7 +373,7 @@ class AbroadPlant:
         gains = kind.gains
         pid = Controller(gains) if gains is not None else None
         late = max(1, round(_LATE * kind.second / period))
-        given: deque[float] = deque([kind.rest] * (late + 1), maxlen=late + 1)
+        commands: deque[float] = deque([kind.rest] * (late + 1), maxlen=late + 1)
         shown: deque[float] = deque(maxlen=late + 1)
         heating = True
         last = math.nan
@@ -392,8 +394,8 @@ class AbroadPlant:
             else:
                 heating = reading < level + (1.0 if heating else -1.0) * kind.kelvin
                 u = float(heating and k % 8 < 3)
-            given.append(u)
-            recorded = given[0] if mishap.kind == "input late" and mishap.on(k) else u
+            commands.append(u)
+            recorded = commands[0] if mishap.kind == "input late" and mishap.on(k) else u
             reference = level if self.gains is not None else reading
             disturbances = (round(self._now.room / 0.0625) * 0.0625,) if kind.plant is Incubator else ()
             yield Sample(k, round(k * period * 1e9), reference, reading, recorded, disturbances)
@@ -444,8 +446,8 @@ class AbroadPlant:
             arrived = self._pipe.popleft()
             self._acting = arrived if not lag else self._acting + kind.step / lag * (arrived - self._acting)
             self._states = self._moved(kind.step)
-            seen = self.output
-            self._seen = seen if not behind else self._seen + kind.step / behind * (seen - self._seen)
+            output = self.output
+            self._seen = output if not behind else self._seen + kind.step / behind * (output - self._seen)
 
     def _moved(self, step: float) -> Rates:
         """The states a step later, by the midpoint rule."""

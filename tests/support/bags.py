@@ -50,11 +50,11 @@ def bag(
     if compression is not CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
-        known = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
-        for at, name, message in sorted(made, key=lambda entry: entry[0]):
+        connections = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
+        for time, name, message in sorted(made, key=lambda entry: entry[0]):
             kind = message.__msgtype__
-            if name not in known:
-                known[name] = writer.add_connection(name, kind, typestore=STORE)
-            logged = round((START + at + 0.03 + behind) * 1e9)
-            writer.write(known[name], logged, bytes(STORE.serialize_cdr(message, kind)) + surplus)
+            if name not in connections:
+                connections[name] = writer.add_connection(name, kind, typestore=STORE)
+            logged = round((START + time + 0.03 + behind) * 1e9)
+            writer.write(connections[name], logged, bytes(STORE.serialize_cdr(message, kind)) + surplus)
     return folder

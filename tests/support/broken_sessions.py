@@ -40,10 +40,14 @@ def whole_file(
         channels[topic] = writer.register_channel(topic.name, "cdr", schema)
     writer.add_metadata("twinmatch/plant", {"plant": "peltier"})
     for k in range(count):
-        at = (1_000_000 + k) * NANOSECONDS
+        stamp = (1_000_000 + k) * NANOSECONDS
         temperature = 25.0 + k % 7 / 8
-        writer.add_message(channels[TEMPERATURE_READING], at, encode_temperature(at, temperature), at)
-        writer.add_message(channels[SAMPLE], at, encode_sample(Sample(k, at, 30.0, temperature, 1.0)), at)
+        writer.add_message(
+            channels[TEMPERATURE_READING], stamp, encode_temperature(stamp, temperature), stamp
+        )
+        writer.add_message(
+            channels[SAMPLE], stamp, encode_sample(Sample(k, stamp, 30.0, temperature, 1.0)), stamp
+        )
         if k % every == every - 1:
             writer.flush()  # type: ignore[no-untyped-call]
     writer.finish()  # type: ignore[no-untyped-call]
@@ -65,9 +69,9 @@ def _truncate(rng: random.Random, data: bytearray) -> None:
 
 
 def _zero(rng: random.Random, data: bytearray) -> None:
-    at = rng.randrange(len(data)) // _BLOCK * _BLOCK
-    end = min(len(data), at + _BLOCK * rng.choice([1, 1, 8]))
-    data[at:end] = bytes(end - at)
+    place = rng.randrange(len(data)) // _BLOCK * _BLOCK
+    end = min(len(data), place + _BLOCK * rng.choice([1, 1, 8]))
+    data[place:end] = bytes(end - place)
 
 
 def _swap(rng: random.Random, data: bytearray) -> None:
@@ -75,12 +79,14 @@ def _swap(rng: random.Random, data: bytearray) -> None:
     last = len(data) // _BLOCK - 1
     a = rng.randrange(last) * _BLOCK
     b = rng.randrange(last) * _BLOCK
-    data[a : a + _BLOCK], data[b : b + _BLOCK] = data[b : b + _BLOCK], data[a : a + _BLOCK]
+    first = data[a : a + _BLOCK]
+    data[a : a + _BLOCK] = data[b : b + _BLOCK]
+    data[b : b + _BLOCK] = first
 
 
 def _remove(rng: random.Random, data: bytearray) -> None:
-    at = rng.randrange(len(data))
-    del data[at : at + rng.choice([1, 9, _BLOCK])]
+    place = rng.randrange(len(data))
+    del data[place : place + rng.choice([1, 9, _BLOCK])]
 
 
 def _destroy_index(rng: random.Random, data: bytearray) -> None:
@@ -93,11 +99,11 @@ def _destroy_index(rng: random.Random, data: bytearray) -> None:
 
 def _destroy_length(rng: random.Random, data: bytearray) -> None:
     """The opcode or length of a record between two chunks."""
-    at = 8
+    place = 8
     heads = []
-    while at + 9 < len(data) - 8:
-        heads.append(at)
-        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    while place + 9 < len(data) - 8:
+        heads.append(place)
+        place += 9 + struct.unpack_from("<Q", data, place + 1)[0]
     data[rng.choice(heads) + rng.randrange(9)] ^= 1 << rng.randrange(8)
 
 
@@ -125,8 +131,9 @@ def samples_in(sound: bytes) -> Set[bytes]:
 def plainly_found(content: bytes, there: Set[bytes]) -> Set[bytes]:
     """Those of the sound samples that plain readers find in their order: chunk by chunk, from the beginning
     or by the index, without checking checksums. A sample among others of another time is not counted."""
-    found = [list(_from_the_beginning(content)), list(_by_the_index(content))]
-    return max((_in_order([data for data in one if data in there]) for one in found), key=len)
+    from_the_beginning = [data for data in _from_the_beginning(content) if data in there]
+    by_the_index = [data for data in _by_the_index(content) if data in there]
+    return max(_in_order(from_the_beginning), _in_order(by_the_index), key=len)
 
 
 def _in_order(messages: Sequence[bytes]) -> Set[bytes]:
@@ -195,12 +202,12 @@ def strictly_read(content: bytes) -> bool:
     """Whether the library takes a file with all its checksums, and finds as many messages by the index."""
     try:
         stream = StreamReader(BytesIO(content), validate_crcs=True, record_size_limit=1 << 24)
-        there = sum(isinstance(record, Message) for record in stream.records)
+        in_stream = sum(isinstance(record, Message) for record in stream.records)
         reader = SeekingReader(BytesIO(content), validate_crcs=True, record_size_limit=1 << 24)
         by_index = sum(1 for _ in reader.iter_messages(log_time_order=False))
     except Exception:
         return False
-    return there == by_index and content.startswith(b"\x89MCAP") and content.endswith(b"\x89MCAP0\r\n")
+    return in_stream == by_index and content.startswith(b"\x89MCAP") and content.endswith(b"\x89MCAP0\r\n")
 
 
 def as_session(folder: Path, content: bytes) -> Path:

@@ -119,12 +119,12 @@ class LooseBroker:
     def _answer(self, connection: socket.socket) -> None:
         stream = connection.makefile("rb")
         while len(head := stream.read(2)) == 2:
-            rest = stream.read(head[1])  # what clients send here is short: its length is one byte
+            body = stream.read(head[1])  # what clients send here is short: its length is one byte
             kind = head[0] >> 4
             if kind == _CONNECT:
                 connection.sendall(b"\x20\x02\x00\x00")
             elif kind == _SUBSCRIBE:
-                connection.sendall(b"\x90\x03" + rest[:2] + b"\x01")
+                connection.sendall(b"\x90\x03" + body[:2] + b"\x01")
                 connection.sendall(b"".join(self._messages))
             elif kind == _PING:
                 connection.sendall(b"\xd0\x00")
@@ -161,9 +161,9 @@ def _write_amqtt(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -
         from pwdlib.hashers.argon2 import Argon2Hasher
 
         hashed = PasswordHash((Argon2Hasher(),))
-        known = folder / "users"
-        known.write_text("".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items()))
-        plugins = {"amqtt.plugins.authentication.FileAuthPlugin": {"password_file": str(known)}}
+        users_file = folder / "users"
+        users_file.write_text("".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items()))
+        plugins = {"amqtt.plugins.authentication.FileAuthPlugin": {"password_file": str(users_file)}}
     config = folder / "amqtt.yaml"
     config.write_text(json.dumps({"listeners": {"default": listener}, "plugins": plugins}))
     return [Path(sys.executable).with_name("amqtt"), "-c", config]
@@ -173,11 +173,13 @@ def _write_mosquitto(folder: Path, port: int, users: Mapping[str, str], tls: _Tl
     """The same of mosquitto."""
     lines = [f"listener {port} 127.0.0.1", f"allow_anonymous {str(not users).lower()}", "persistence false"]
     if users:
-        known = folder / "users"
-        known.touch(mode=0o600)
+        users_file = folder / "users"
+        users_file.touch(mode=0o600)
         for name, word in users.items():
-            subprocess.run(["mosquitto_passwd", "-b", known, name, word], check=True, env={"PATH": _PATH})
-        lines.append(f"password_file {known}")
+            subprocess.run(
+                ["mosquitto_passwd", "-b", users_file, name, word], check=True, env={"PATH": _PATH}
+            )
+        lines.append(f"password_file {users_file}")
     if tls is not None:
         lines += [f"certfile {tls[0]}", f"keyfile {tls[1]}"]
     config = folder / "mosquitto.conf"
@@ -190,7 +192,7 @@ def _certify(certificate: Path) -> Path:
     key = certificate.with_name("key.pem")
     named = ("subjectAltName=DNS:localhost", "keyUsage=critical,digitalSignature,keyCertSign")
     words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost"]
-    words += [word for one in named for word in ("-addext", one)]
+    words += [word for extension in named for word in ("-addext", extension)]
     try:
         subprocess.run([*words, "-keyout", key, "-out", certificate], check=True, capture_output=True)
     except FileNotFoundError:

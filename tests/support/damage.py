@@ -19,20 +19,20 @@ def _flip(rng: random.Random, data: bytearray) -> None:
 
 
 def _burst(rng: random.Random, data: bytearray) -> None:
-    at = rng.randrange(len(data))
-    for i in range(at, min(len(data), at + rng.randint(1, 20))):
+    place = rng.randrange(len(data))
+    for i in range(place, min(len(data), place + rng.randint(1, 20))):
         data[i] = rng.randrange(256)
 
 
 def _drop(rng: random.Random, data: bytearray) -> None:
     for _ in range(rng.randint(1, 3)):
-        at = rng.randrange(len(data))
-        del data[at : at + rng.randint(1, 2)]
+        place = rng.randrange(len(data))
+        del data[place : place + rng.randint(1, 2)]
 
 
 def _duplicate(rng: random.Random, data: bytearray) -> None:
-    at = rng.randrange(len(data))
-    data[at:at] = data[at : at + rng.randint(1, 20)]
+    place = rng.randrange(len(data))
+    data[place:place] = data[place : place + rng.randint(1, 20)]
 
 
 def _insert(rng: random.Random, data: bytearray) -> None:
@@ -53,8 +53,8 @@ def _truncate(rng: random.Random, data: bytearray) -> None:
 def _replace(rng: random.Random, data: bytearray) -> None:
     """A digit, or a byte near the beginning."""
     digits = [i for i, byte in enumerate(data[:70]) if byte in b"0123456789ABCDEF"] or [0]
-    at = rng.choice([rng.choice(digits), rng.randrange(min(70, len(data)))])
-    data[at] = rng.choice([rng.choice(b"0123456789ABCDEF"), rng.randrange(256)])
+    place = rng.choice([rng.choice(digits), rng.randrange(min(70, len(data)))])
+    data[place] = rng.choice([rng.choice(b"0123456789ABCDEF"), rng.randrange(256)])
 
 
 KINDS = (_flip, _burst, _drop, _duplicate, _insert, _swap, _truncate, _replace)

@@ -23,9 +23,9 @@ def small_disk(place: Path, kilobytes: int, *, read_only: bool = False) -> Itera
     place.mkdir()
     options = f"size={kilobytes}k,{'ro' if read_only else 'rw'}"
     words = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        pytest.skip(f"no file system may be mounted here: {done.stderr.strip()}")
+    completed = subprocess.run(words, capture_output=True, text=True, check=False)
+    if completed.returncode != 0:
+        pytest.skip(f"no file system may be mounted here: {completed.stderr.strip()}")
     try:
         yield place
     finally:

@@ -25,9 +25,9 @@ NOTICED = 2.0
 
 def processor_seconds() -> float:
     """Time of the processors, s, that this process and all it has started have used until now."""
-    own = resource.getrusage(resource.RUSAGE_SELF)
+    own_usage = resource.getrusage(resource.RUSAGE_SELF)
     ended_children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    total = own.ru_utime + own.ru_stime + ended_children.ru_utime + ended_children.ru_stime
+    total = own_usage.ru_utime + own_usage.ru_stime + ended_children.ru_utime + ended_children.ru_stime
     for process in _descendants(os.getpid()):
         total += _seconds_of(process)
     return total

@@ -25,11 +25,11 @@ class Heaters(Plant):
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
-        one, two = self.rates_of({name: getattr(self, name) for name in self.parameters})(
+        first_rate, second_rate = self.rates_of({name: getattr(self, name) for name in self.parameters})(
             (self.one, self.two), (self.first_power, self.second_power)
         )
         return Equations(
-            rates={self.one: one, self.two: two},
+            rates={self.one: first_rate, self.two: second_rate},
             output={self.first: self.one, self.second: self.two},
             start={self.one: self.first, self.two: self.second},
         )
@@ -39,8 +39,10 @@ class Heaters(Plant):
         """The rates of both temperatures, from these and the two powers."""
 
         def rates(x: tuple[float, float], u: tuple[float, float]) -> tuple[float, float]:
-            lost = [p["loss"] * (at - 23.0) * (1.0 + 0.003 * (at - 23.0)) for at in x]
-            given = p["exchange"] * (x[1] - x[0])
-            return p["first_gain"] * u[0] - lost[0] + given, p["second_gain"] * u[1] - lost[1] - given
+            lost = [
+                p["loss"] * (temperature - 23.0) * (1.0 + 0.003 * (temperature - 23.0)) for temperature in x
+            ]
+            exchanged = p["exchange"] * (x[1] - x[0])
+            return p["first_gain"] * u[0] - lost[0] + exchanged, p["second_gain"] * u[1] - lost[1] - exchanged
 
         return rates

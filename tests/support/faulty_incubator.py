@@ -62,8 +62,8 @@ def run(
     since = 0
     samples = []
     for k in range(size):
-        seen = read(plant, states) + random.normal(0.0, 0.02, 2)
-        y = float(np.mean(np.round(seen / RESOLUTION) * RESOLUTION))
+        both_sensors = read(plant, states) + random.normal(0.0, 0.02, 2)
+        y = float(np.mean(np.round(both_sensors / RESOLUTION) * RESOLUTION))
         if heating and y > limits[1]:
             heating = False
         elif not heating and y < limits[0]:

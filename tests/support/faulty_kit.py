@@ -100,13 +100,13 @@ class Published:
         self._states = begin(self._plant, self._room - 273.15)
 
     def read(self) -> float:
-        seen = read(self._plant, self._states) + self._random.normal(0.0, NOISE)
-        return float(np.floor(seen / RESOLUTION) * RESOLUTION)
+        reading = read(self._plant, self._states) + self._random.normal(0.0, NOISE)
+        return float(np.floor(reading / RESOLUTION) * RESOLUTION)
 
     def advance(self, heat: float, second: float, factor: float) -> None:
         self._room += self._random.normal(0.0, 0.02)
-        now = self._plant.replace(ambient=self._room, losses=factor * self._losses)
-        self._states = advance(now, self._states, heat, 1.0, np.array([second]))
+        plant = self._plant.replace(ambient=self._room, losses=factor * self._losses)
+        self._states = advance(plant, self._states, heat, 1.0, np.array([second]))
 
 
 def _constant(level: float, _: int) -> float:
@@ -145,8 +145,8 @@ def levels(size: int) -> FloatArray:
 
 def rest_level(power: float) -> float:
     """Temperature at which the simulated kit needs this power, %, with heater 2 at rest."""
-    passed = 0.01 * (1.0 - 0.01 / 0.06)  # what heater 1 loses by way of its neighbour
-    return 21.0 + power * 200.0 / 5720.0 / (0.05 + passed)
+    neighbour_losses = 0.01 * (1.0 - 0.01 / 0.06)  # what heater 1 loses by way of its neighbour
+    return 21.0 + power * 200.0 / 5720.0 / (0.05 + neighbour_losses)
 
 
 def hold(power: float, size: int) -> FloatArray:
@@ -157,7 +157,7 @@ def hold(power: float, size: int) -> FloatArray:
 def some_levels(seed: int, size: int, low: float, high: float, most: int) -> FloatArray:
     """Values between `low` and `high`, each held for 100 samples to `most`."""
     chosen = np.random.default_rng(seed + 10_000)
-    found: list[float] = []
-    while len(found) < size:
-        found += [float(chosen.uniform(low, high))] * int(chosen.integers(100, most))
-    return np.array(found[:size])
+    level_of_sample: list[float] = []
+    while len(level_of_sample) < size:
+        level_of_sample += [float(chosen.uniform(low, high))] * int(chosen.integers(100, most))
+    return np.array(level_of_sample[:size])

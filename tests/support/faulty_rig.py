@@ -87,23 +87,23 @@ def run(
     jump = 0.0
     last = None
     for k, wanted in enumerate(reference):
-        what = broken.kind if broken is not None and broken.on(k) else ""
+        kind = broken.kind if broken is not None and broken.on(k) else ""
         truth[k] = read(rig, states)
         if k and camera.frozen[k] and not camera.frozen[k - 1]:
             jump = FLAT_FIELD_JUMP * random.standard_normal()
         jump *= FLAT_FIELD_KEEPS**period
-        seen = room if what == "sensor-off" else truth[k] + jump
-        seen += _offset(what, (k - broken.start) * period) if broken is not None else 0.0
-        seen = round(seen + float(camera.noise[k]), 2)
-        if last is not None and (camera.frozen[k] or what == "sensor-frozen"):
-            seen = last
-        last = seen
-        pwm = pid.step(float(wanted), seen)[0]
-        samples.append(Sample(k, k, float(wanted), seen, pwm))
-        since = (k - broken.start) * period if broken is not None and "~" in what else 0.0
-        states = advance(_now(rig, what, min(since, SLOWLY)), states, pwm, period)
-        if broken is not None and what.startswith("heat"):
-            states[0] += float(what[4:]) * period / broken.length
+        reading = room if kind == "sensor-off" else truth[k] + jump
+        reading += _offset(kind, (k - broken.start) * period) if broken is not None else 0.0
+        reading = round(reading + float(camera.noise[k]), 2)
+        if last is not None and (camera.frozen[k] or kind == "sensor-frozen"):
+            reading = last
+        last = reading
+        pwm = pid.step(float(wanted), reading)[0]
+        samples.append(Sample(k, k, float(wanted), reading, pwm))
+        since = (k - broken.start) * period if broken is not None and "~" in kind else 0.0
+        states = advance(_now(rig, kind, min(since, SLOWLY)), states, pwm, period)
+        if broken is not None and kind.startswith("heat"):
+            states[0] += float(kind[4:]) * period / broken.length
     return samples, truth
 
 
@@ -139,8 +139,8 @@ def watch(
         return Watched(monitor, Refusals(monitor.settings, TwinSettings().schedule.gap))
 
     if parameters is None and settings is None:
-        found = watched("rig", begin, samples)
-        return found.monitor, found.healths
+        watched_rig = watched("rig", begin, samples)
+        return watched_rig.monitor, watched_rig.healths
     begun = begin()
     monitor = begun.monitor
     refusals = begun.refusals
@@ -159,13 +159,13 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     def named(monitor: Monitor) -> bool:
         return any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms)
 
-    found = watched("rig as it reads", lambda: Watched(Monitor()), samples, named)
-    monitor = found.monitor
-    healths = found.healths
+    watched_rig = watched("rig as it reads", lambda: Watched(Monitor()), samples, named)
+    monitor = watched_rig.monitor
+    healths = watched_rig.healths
     if not monitor.alarms:
         doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
         return ("suspected" if doubted else "nothing"), None
-    told = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
+    reported = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
     if monitor.alarms[0].flagged < start:
         return "early", None
-    return told[0].fault.value, told[0].flagged - start
+    return reported[0].fault.value, reported[0].flagged - start

@@ -229,8 +229,8 @@ def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True, cut_o
     if not joule:
         code = code.replace("- current * current * m->p[resistance] / 2", "")
     lines = [
-        f'    <ScalarVariable name="{name}" valueReference="{k}" {what}><Real {more}/></ScalarVariable>'
-        for k, (name, what, more) in enumerate(_variables())
+        f'    <ScalarVariable name="{name}" valueReference="{k}" {kind}><Real {real}/></ScalarVariable>'
+        for k, (name, kind, real) in enumerate(_variables())
     ]
     xml = _XML.format(variables="\n".join(lines), output=4, derivative=3, indicators=2 if events else 0)
     return _compiled(folder, code, _left_out(code, fmpy.fmi2.FMU2Model), xml, "linux64")
@@ -242,12 +242,12 @@ def build_c_fmu_3(folder: Path) -> Path:
 
     code = _source("plate3.c")
     lines = [
-        f'    <Float64 name="{name}" valueReference="{k}" {what} {more}/>'
-        for k, (name, what, more) in enumerate(_variables())
+        f'    <Float64 name="{name}" valueReference="{k}" {kind} {real}/>'
+        for k, (name, kind, real) in enumerate(_variables())
     ]
     xml = _XML_3.format(variables="\n".join(lines).replace('derivative="2"', 'derivative="1"'))
-    others = _left_out(code, fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
-    return _compiled(folder, code, others, xml, "x86_64-linux")
+    stubs = _left_out(code, fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
+    return _compiled(folder, code, stubs, xml, "x86_64-linux")
 
 
 def _source(name: str) -> str:
@@ -290,5 +290,5 @@ def _compiled(folder: Path, code: str, others: str, xml: str, platform: str) -> 
 
 def _left_out(code: str, *of: type) -> str:
     """Functions that FMPy wants to find, and that say that they cannot do it."""
-    names = {name for one in of for name in dir(one) if name.startswith(("fmi2", "fmi3"))}
+    names = {name for base in of for name in dir(base) if name.startswith(("fmi2", "fmi3"))}
     return "".join(f"int {name}(void) {{ return 3; }}\n" for name in sorted(names) if f"{name}(" not in code)

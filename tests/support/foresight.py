@@ -25,6 +25,6 @@ def forecast_loop(
 ) -> LoopForecast:
     """Of the loop under these set-points, by default with the plant file's law at 1 s; or under inputs."""
     loop = None if reference is None else law or law_of(parameters.model.plant, 1.0)
-    known = Foresight([(parameters, unsure)], loop, drift=[drift], **how)
-    now = known.at([states], [covariance], input, controller)
-    return known.ahead(now, inputs if reference is None else reference, disturbances)
+    foresight = Foresight([(parameters, unsure)], loop, drift=[drift], **how)
+    beginning = foresight.at([states], [covariance], input, controller)
+    return foresight.ahead(beginning, inputs if reference is None else reference, disturbances)

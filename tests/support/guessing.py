@@ -36,26 +36,26 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
     rng = np.random.default_rng(seed)
     twins = [f"twin {k}" for k in range(20)]
     plant = _walks(rng, (seconds,))
-    other = _walks(rng, (seconds,))
-    own = _walks(rng, (len(twins), seconds))
+    walk_of_baseline = _walks(rng, (seconds,))
+    walks_of_twins = _walks(rng, (len(twins), seconds))
     new = np.minimum(EVERY / np.array(HORIZONS), 1.0)
     ledger = Ledger(new, np.ones(1), exp(-EVERY / MEMORY))
     trusted: dict[str, tuple[float, ...]] = dict.fromkeys(twins, ())
     ever = dict.fromkeys(twins, False)
-    for now in range(0, seconds, EVERY):
+    for second in range(0, seconds, EVERY):
         before = 0
         for place, ahead in enumerate(HORIZONS):
-            at = now - ahead
-            path = slice(now - ahead + 1 + before, now + 1)
+            forecast_from = second - ahead
+            path = slice(second - ahead + 1 + before, second + 1)
             before = ahead
-            if at < 0:
+            if forecast_from < 0:
                 continue
-            moved = plant[path] - plant[at]
-            guessed = other[path] - other[at]
-            errors = better * (moved + own[:, path] - own[:, [at]])
+            moved = plant[path] - plant[forecast_from]
+            guessed = walk_of_baseline[path] - walk_of_baseline[forecast_from]
+            errors = better * (moved + walks_of_twins[:, path] - walks_of_twins[:, [forecast_from]])
             baselines = np.stack([moved + guessed] * 2)[:, None]
             ledger.add(twins, errors[:, None], baselines, place)
-        for name in twins if now % 120 == 0 else ():
+        for name in twins if second % 120 == 0 else ():
             skills = [tuple(skill.tolist()) for part in ledger.skills(name) for skill in part]
             score = ForecastScore(name, PARAMETERS, 0, 0, 0.0, (), 0.0, *skills)
             doubts = score.doubts(HORIZONS, trusted[name])

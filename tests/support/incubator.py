@@ -29,22 +29,24 @@ def read_run(folder: Path, name: str) -> Window:
         "heater": table["heater_on"].astype(np.float64),
         "room": table["t1"].astype(np.float64),
     }
-    held = resample(
+    resampled = resample(
         time * (1e-9 if time[0] > 1e12 else 1.0),
         columns,
         {"box": "reading", "heater": "held", "room": "reading"},
         PERIOD,
     ).columns
-    box = held["box"]
-    room = held["room"]
-    return Window(np.full(box.size, box[0]), box, held["heater"], period=PERIOD, disturbances=room[:, None])
+    box = resampled["box"]
+    room = resampled["room"]
+    return Window(
+        np.full(box.size, box[0]), box, resampled["heater"], period=PERIOD, disturbances=room[:, None]
+    )
 
 
 def read_events(folder: Path, name: str) -> FloatArray:
     """When the lid was opened and closed in turn, s after the run's first row."""
     begin, events = (
-        np.loadtxt(folder / f"{name}{of}.csv", dtype=np.int64, delimiter=",", skiprows=1, usecols=0)
-        for of in ("", "_events")
+        np.loadtxt(folder / f"{name}{suffix}.csv", dtype=np.int64, delimiter=",", skiprows=1, usecols=0)
+        for suffix in ("", "_events")
     )
     return np.asarray((events - begin[0]) * 1e-9, dtype=np.float64)
 

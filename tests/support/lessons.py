@@ -18,7 +18,7 @@ def lesson(number: int = 1, structure: str = "paper", *, rig: str = "", **change
     """That of the session `number`, a day after the one before; its covariance is of no particular size."""
     values = {"seebeck": 0.05 + 1e-3 * number, "conductance": 0.5, "resistance": 3.3}
     spread = np.array([[1e-6, 2e-6], [2e-6, 1e-4]])
-    of: dict[str, object] = {
+    usual: dict[str, object] = {
         "session": f"digest-{number}",
         "name": f"run_{number}",
         "plant": "peltier",
@@ -40,12 +40,12 @@ def lesson(number: int = 1, structure: str = "paper", *, rig: str = "", **change
         "persistence_skill": (0.5, 0.7),
         "arx_skill": (0.1, 0.2),
     }
-    return Lesson(**(of | changed))  # type: ignore[arg-type]
+    return Lesson(**(usual | changed))  # type: ignore[arg-type]
 
 
 def comparison(number: int = 1, **changed: object) -> LawComparison:
     """A predicted cost of 5 (3 to 6), measured as it was predicted."""
-    of: dict[str, object] = {
+    usual: dict[str, object] = {
         "session": f"digest-{number}",
         "name": f"run_{number}",
         "plant": "peltier",
@@ -64,7 +64,7 @@ def comparison(number: int = 1, **changed: object) -> LawComparison:
         "error": 6.2,
         "predicted_error": 6.0,
     }
-    return LawComparison(**(of | changed))  # type: ignore[arg-type]
+    return LawComparison(**(usual | changed))  # type: ignore[arg-type]
 
 
 KINDS = ("steady", "step", "drift")
@@ -100,30 +100,30 @@ def lived_rig(seed: int, kind: str, sessions: int = 12) -> LivedRig:
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     free = _PLANT.structure.free
     names = list(free)
-    alike = np.eye(6)
-    for one, other, r in _ALIKE:
-        i = names.index(one)
-        j = names.index(other)
-        alike[i, j] = alike[j, i] = r
+    correlations = np.eye(6)
+    for first, second, r in _ALIKE:
+        i = names.index(first)
+        j = names.index(second)
+        correlations[i, j] = correlations[j, i] = r
     true = np.array([_TRUE[name] for name in free])
     changed = str(rng.choice(_CHANGING))
     since = int(rng.integers(3, 9))
     sign = float(rng.choice([-1.0, 1.0]))
     lessons = []
     for number in range(sessions):
-        now = true.copy()
-        now[names.index("ambient")] += rng.normal(0.0, 1.5)
+        true_today = true.copy()
+        true_today[names.index("ambient")] += rng.normal(0.0, 1.5)
         if kind == "step" and number >= since:
-            now[names.index(changed)] *= 1.0 + 0.1 * sign
+            true_today[names.index(changed)] *= 1.0 + 0.1 * sign
         if kind == "drift":
-            now[names.index(changed)] *= (1.0 + 0.01 * sign) ** number
+            true_today[names.index(changed)] *= (1.0 + 0.01 * sign) ** number
         spread = _KNOWN * true * rng.uniform(0.6, 1.6)
-        covariance = alike * np.outer(spread, spread)
+        covariance = correlations * np.outer(spread, spread)
         errors = rng.multivariate_normal(np.zeros(6), covariance) * (5.0 if rng.random() < 0.04 else 1.0)
-        held = {**_PLANT.parameters(), **dict(zip(free, (now + errors).tolist(), strict=True))}
+        learned = {**_PLANT.parameters(), **dict(zip(free, (true_today + errors).tolist(), strict=True))}
         spreads = tuple(map(tuple, covariance.tolist()))
         lessons.append(
-            lesson(number, _PLANT.structure_name, parameters=held, free=free, covariance=spreads)
+            lesson(number, _PLANT.structure_name, parameters=learned, free=free, covariance=spreads)
         )  # fmt: skip
     return LivedRig(kind, changed, since, lessons)
 

@@ -78,8 +78,9 @@ def scaled(factor: float, within: float) -> Lie:
 
 
 RATES = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
+DRIFTS = (*(-rate for rate in RATES), *RATES)
 LIES: dict[str, Lie] = {
-    **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in (*(-r for r in RATES), *RATES)},
+    **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in DRIFTS},
     **{f"slides off within {seconds:g} s": sliding_off(seconds) for seconds in (5.0, 20.0, 60.0)},
     "stuck at 20 °C": lambda _, __: 20.0,
     **{f"{seconds} s late": late(seconds) for seconds in (5, 10, 20, 60)},
@@ -136,24 +137,24 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
     states = begin(plant, plant["ambient"] - absolute)
     true = list[float]()
     ending = Ending()
-    seen = 0.0
-    passed = math.inf
+    measured = 0.0
+    applied = math.inf
     for k, reference in enumerate(references):
         true.append(read(plant, states))
-        told = true[-1] if lie is None or k < begins else lie(k - begins, true)
-        seen = seen if realised.frozen[k] and k else told + float(realised.noise[k])
-        command = controller.step(float(reference), seen)[0]
+        reported = true[-1] if lie is None or k < begins else lie(k - begins, true)
+        measured = measured if realised.frozen[k] and k else reported + float(realised.noise[k])
+        command = controller.step(float(reference), measured)[0]
         if lie is None or k >= begins:
             ending.highest = max(ending.highest, true[-1])
         for half in (0.0, 0.5):
-            now = k + half
-            guard.command(command, now)
-            guard.temperature(seen, now)
+            time = k + half
+            guard.command(command, time)
+            guard.temperature(measured, time)
             # As the controller's samples: they have what was applied.
-            guard.loop(reference, seen, command if guard.limited is None else min(command, passed), now)
-            passed = guard.output(now)
-            states = advance(plant, states, passed, 0.5)
-        ending.limited += guard.fault is None and passed < command
+            guard.loop(reference, measured, command if guard.limited is None else min(command, applied), time)
+            applied = guard.output(time)
+            states = advance(plant, states, applied, 0.5)
+        ending.limited += guard.fault is None and applied < command
         if guard.fault is not None and ending.fault is None:
             ending.fault = guard.fault
             ending.after = k - begins
@@ -188,14 +189,14 @@ def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
     command: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The states after second k behind a gate, which decides twice, and what it let pass last."""
-    passed = np.zeros(command.size)
+    applied = np.zeros(command.size)
     for half in (0.0, 0.5):
         clocks.now = k + half
         gate.command(command, k, clocks().stamps)
         gate.temperature(seen, clocks().stamps)
-        passed = np.array(gate.decide().inputs)
-        states = advance(plant, states, passed, 0.5)
-    return states, passed
+        applied = np.array(gate.decide().inputs)
+        states = advance(plant, states, applied, 0.5)
+    return states, applied
 
 
 def lie_to_both(
@@ -212,20 +213,20 @@ def lie_to_both(
     endings = [Ending(), Ending()]
     for k in range(len(references)):
         true.append(readings(plant, states))
-        seen = true[-1] + 0.12 * random.standard_normal(2)
+        measured = true[-1] + 0.12 * random.standard_normal(2)
         if lie is not None and k >= BEGINS:
-            seen[channel] += lie(k - BEGINS, [row[channel] for row in true[-80:]]) - true[-1][channel]
-        command = controller.step(references[k], seen)
-        states, passed = drive_for_a_second(gate, clocks, k, plant, states, seen, command)
-        gate.sample(tuple(references[k]), tuple(seen), tuple(passed))
+            measured[channel] += lie(k - BEGINS, [row[channel] for row in true[-80:]]) - true[-1][channel]
+        command = controller.step(references[k], measured)
+        states, applied = drive_for_a_second(gate, clocks, k, plant, states, measured, command)
+        gate.sample(tuple(references[k]), tuple(measured), tuple(applied))
         for number, ending in enumerate(endings):
             if lie is None or k >= BEGINS:
                 ending.highest = max(ending.highest, float(true[-1][number]))
-            ending.limited += gate.armed and passed[number] < command[number]
+            ending.limited += gate.armed and applied[number] < command[number]
             if ending.fault is None and gate.fault is not None and not gate.armed and k > 1:
                 ending.fault = gate.fault
                 ending.after = k - BEGINS
         if endings[0].fault is not None and k > BEGINS + (endings[0].after or 0) + 60:
-            assert not passed.any()
+            assert not applied.any()
             break
     return endings

@@ -153,7 +153,7 @@ def _draw_plant(random: np.random.Generator, kind: str, spread: float) -> Parame
 
 def _draw_set_points(random: np.random.Generator, kind: str, samples: int) -> tuple[str, FloatArray]:
     name = str(random.choice(tuple(SET_POINTS), p=(0.2, 0.2, 0.25, 0.25, 0.1)))
-    low, high = (25.0, 95.0) if kind == "rig" else (28.0, 68.0) if kind == "kit" else (28.0, 60.0)
+    low, high = SPANS[kind]
     course = np.resize(SET_POINTS[name](random, low, high), samples)
     if kind == "both":  # the weaker heater reaches less
         return name, np.column_stack([course, 25.0 + 0.5 * (course - 25.0)])
@@ -186,6 +186,8 @@ def _steps(random: np.random.Generator, low: float, high: float) -> FloatArray:
     return np.repeat(random.uniform(low, high, 40), random.integers(60, 600, 40))
 
 
+SPANS: Final = {"rig": (25.0, 95.0), "kit": (28.0, 68.0), "both": (28.0, 60.0)}
+"""Between which set-points are drawn, °C; of both heaters of a kit, those of the stronger."""
 SET_POINTS: Final[dict[str, Callable[[np.random.Generator, float, float], FloatArray]]] = {
     "constant": _constant,
     "default profile": _default_profile,
@@ -282,15 +284,15 @@ def follow(run: LieRun) -> LieOutcome:
         if k == run.restarts:
             gate = OutputGate(clocks, _guards(run.kind))
         true = readings(plant, states)
-        seen = true + noise[k]
+        measured = true + noise[k]
         for channel, history in enumerate(histories):
             history.append(float(true[channel]))
             if run.lie is not None and k >= run.begins and channel in run.channels:
-                seen[channel] += run.lie(k - run.begins, history) - history[-1]
-        command = np.atleast_1d(controller.step(reference, seen))
-        states, passed = drive_for_a_second(gate, clocks, k, plant, states, seen, command)
-        gate.sample(tuple(reference), tuple(seen), tuple(passed if gate.fault is not None else command))
-        outcome.limited += int(gate.armed and bool((passed < command).any()))
+                measured[channel] += run.lie(k - run.begins, history) - history[-1]
+        command = np.atleast_1d(controller.step(reference, measured))
+        states, applied = drive_for_a_second(gate, clocks, k, plant, states, measured, command)
+        gate.sample(tuple(reference), tuple(measured), tuple(applied if gate.fault is not None else command))
+        outcome.limited += int(gate.armed and bool((applied < command).any()))
         _judge(run, k, true, outcome)
         if gate.fault is not None and not gate.armed and k > 1 and not outcome.fault:
             outcome.fault = gate.fault.kind.value

@@ -12,7 +12,7 @@ import io
 import json
 import random
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,7 +114,7 @@ class Malformed:
         self._table.write_text(TABLE, "utf-8")
         lessons = lived_rig(1, "step", 6).lessons
         model = Peltier.model(lessons[0].structure)
-        self._lessons = [replace(one, equations=model.equations) for one in lessons]
+        self._lessons = [replace(lesson, equations=model.equations) for lesson in lessons]
         self._memory = folder / "sound.sqlite"
         Memory(self._memory).add(self._lessons)
         start = remembered_start(self._memory, "", "peltier")
@@ -133,10 +133,10 @@ class Malformed:
             names = [row[1] for row in database.execute("PRAGMA table_info(lesson)")]
             for _ in range(self._random.choice(SEVERAL)):
                 name = self._random.choice(names)
-                held = getattr(self._lessons[0], name)
+                value = getattr(self._lessons[0], name)
                 some = self._random.choice(("1", "rowid = 2"))
                 with contextlib.suppress(sqlite3.Error, OverflowError, UnicodeEncodeError):
-                    database.execute(f"UPDATE lesson SET {name} = ? WHERE {some}", [self._cell(held)])
+                    database.execute(f"UPDATE lesson SET {name} = ? WHERE {some}", [self._cell(value)])
             database.commit()
         if self._random.random() < 0.1:
             self._written(path.name, path.read_bytes(), always=True)
@@ -156,8 +156,8 @@ class Malformed:
     def maps(self) -> None:
         path = self._written("map.yaml", self._yaml(self._changed(MAP)))
         table = read_table(self._table)
-        given = read_map(path)
-        map_samples(table, with_plant_names(table, Peltier, given), Peltier)
+        signal_map = read_map(path)
+        map_samples(table, with_plant_names(table, Peltier, signal_map), Peltier)
 
     def fmu_maps(self) -> None:
         read_maps(self._written("fmus.yaml", self._yaml(self._changed(FMU_MAP))))
@@ -168,16 +168,16 @@ class Malformed:
     def tables(self) -> None:
         path = self._written("table.csv", self._cells(TABLE, self._random.choice(",,,;\t")).encode())
         table = read_table(path)
-        found = columns_of(table)
-        propose(table, SignalMap(proposed(found)))
+        columns = columns_of(table)
+        propose(table, SignalMap(proposed(columns)))
 
     def _command(self, *words: str) -> None:
         """Run a command, whose own refusals are what it has to say."""
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             code = main(words)
         if code == 2:
-            raise TwinmatchError(said.getvalue())
+            raise TwinmatchError(printed.getvalue())
         assert code == 0
 
     def _written(self, name: str, content: bytes, *, always: bool = False) -> Path:
@@ -252,7 +252,12 @@ KINDS = ("laws", "memories", "candidates", "profiles", "maps", "fmu_maps", "sett
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
     """Every place in a tree, as its owner and its key there."""
-    for key in list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ():
+    keys: Iterable[Any] = ()
+    if isinstance(tree, dict):
+        keys = list(tree)
+    elif isinstance(tree, list):
+        keys = range(len(tree))
+    for key in keys:
         yield tree, key
         yield from _places(tree[key])
 

@@ -74,12 +74,18 @@ class Nonsense:
         return bytes(data)
 
     def huge(self, _: Any, data: bytearray) -> bytes:
-        at = self._random.randrange(4, max(5, len(data) - 3), 4)
-        return bytes(data[:at]) + self._random.choice(LENGTHS).to_bytes(4, "little") + bytes(data[at + 4 :])
+        place = self._random.randrange(4, max(5, len(data) - 3), 4)
+        return (
+            bytes(data[:place])
+            + self._random.choice(LENGTHS).to_bytes(4, "little")
+            + bytes(data[place + 4 :])
+        )
 
     def foreign(self, kind: Any, _: bytearray) -> bytes:
-        others = [one for one in MESSAGES if "srv" not in one.__module__ and one is not kind]
-        return bytes(serialize_message(self.message(self._random.choice(others))))
+        other_kinds = [
+            candidate for candidate in MESSAGES if "srv" not in candidate.__module__ and candidate is not kind
+        ]
+        return bytes(serialize_message(self.message(self._random.choice(other_kinds))))
 
     def noise(self, _: Any, data: bytearray) -> bytes:
         return self._random.choice((b"", HEAD)) + self._random.randbytes(min(len(data), 300))

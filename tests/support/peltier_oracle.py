@@ -50,8 +50,8 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         from_plate = seebeck_at(rig, plate) * plate * current - joule + conducted + thomson
         from_sink = -seebeck_at(rig, sink) * sink * current - joule - conducted + thomson
         lost = rig.get("sink_convection", 0.0) * (sink - rig["ambient"])
-        seen = (plate - sensor) / lag if lag else 0.0
-        return [-from_plate / rig["heat_capacity"], -(from_sink + lost) / mass, seen]
+        sensor_rate = (plate - sensor) / lag if lag else 0.0
+        return [-from_plate / rig["heat_capacity"], -(from_sink + lost) / mass, sensor_rate]
 
     def upper(_t: float, state: np.ndarray, _regime: int) -> float:
         return free_current(rig, pwm, state[0], state[1]) - limit
@@ -60,7 +60,7 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         return free_current(rig, pwm, state[0], state[1]) + limit
 
     upper.terminal = lower.terminal = True  # type: ignore[attr-defined]
-    now = 0.0
+    elapsed = 0.0
     state = np.array(start, dtype=float)
     current = free_current(rig, pwm, state[0], state[1])
     regime = int(current > limit) - int(current < -limit)
@@ -68,9 +68,9 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         # From a threshold the first event is the departure itself: watch only the others.
         watch = [f for f in (upper, lower) if abs(f(0.0, state, 0)) > 1e-9]
         run = solve_ivp(
-            rates, (now, period), state, "DOP853", rtol=1e-12, atol=1e-12, events=watch, args=(regime,)
+            rates, (elapsed, period), state, "DOP853", rtol=1e-12, atol=1e-12, events=watch, args=(regime,)
         )
-        now = float(run.t[-1])
+        elapsed = float(run.t[-1])
         state = run.y[:, -1]
         if run.status != 1:
             return np.array([state[0], state[1], state[2] if lag else state[0]])
@@ -101,11 +101,11 @@ def riccati_arrival(quadratic: float, slope: float, speed: float, distance: floa
     if discriminant >= 0.0:
         s = math.sqrt(discriminant)
         gap = s - slope if slope <= 0.0 else -4.0 * quadratic * speed / (s + slope)
-        rest = 1.0 - 0.5 * gap * ratio
-        if not rest > 0.0:
+        denominator = 1.0 - 0.5 * gap * ratio
+        if not denominator > 0.0:
             return math.inf
-        growth = s * ratio / rest
-        return ratio / rest if growth == 0.0 else math.log1p(growth) / s
+        growth = s * ratio / denominator
+        return ratio / denominator if growth == 0.0 else math.log1p(growth) / s
     omega = math.sqrt(-discriminant)
     return 2.0 * math.atan2(0.5 * omega * ratio, 1.0 + 0.5 * slope * ratio) / omega
 
@@ -127,7 +127,7 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
     first = -(a * offset * (1.0 - r / total) + a * sink * gain + k) / c
     zeroth = (offset * (0.5 * r * offset - a * sink) + heat) / c
     x = plate - sink
-    left = period
+    time_left = period
     current = gain * x + offset
     regime = int(current > limit) - int(current < -limit)
     for _ in range(4):
@@ -136,10 +136,10 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
             slope = 2.0 * second * x + first
             speed = (second * x + first) * x + zeroth
         else:
-            held = regime * limit
+            limited_current = regime * limit
             quadratic = 0.0
-            slope = -(a * held + k) / c
-            speed = slope * x + (held * (0.5 * r * held - a * sink) + heat) / c
+            slope = -(a * limited_current + k) / c
+            speed = slope * x + (limited_current * (0.5 * r * limited_current - a * sink) + heat) / c
         if speed == 0.0:
             break
         direction = 1 if speed > 0.0 else -1
@@ -149,10 +149,10 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
             threshold = limit if 2 * regime + direction > 0 else -limit
             edge = (threshold - offset) / gain
             leaving = riccati_arrival(quadratic, slope, speed, edge - x)
-        if not leaving < left:
-            x += riccati_flow(quadratic, slope, speed, left)
+        if not leaving < time_left:
+            x += riccati_flow(quadratic, slope, speed, time_left)
             break
         x = edge
-        left = left - leaving
+        time_left = time_left - leaving
         regime = regime + direction
     return sink + x

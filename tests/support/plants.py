@@ -114,12 +114,12 @@ class Box(Plant, name="box"):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """Heat goes from the bed to the air and from there to the room."""
-        given = self.bed_conductance * (self.bed - self.air)
+        from_bed = self.bed_conductance * (self.bed - self.air)
         lost = self.box_conductance * (self.air - self.room)
         return Equations(
             rates={
-                self.air: (given - lost) / self.air_capacity,
-                self.bed: (self.power * self.heater - given) / self.bed_capacity,
+                self.air: (from_bed - lost) / self.air_capacity,
+                self.bed: (self.power * self.heater - from_bed) / self.bed_capacity,
             },
             output=self.air,
             start={self.air: self.temperature, self.bed: self.temperature},

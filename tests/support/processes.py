@@ -41,7 +41,7 @@ class Process:
         start is imports.
         """
         self.output = output
-        given = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
+        variables = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
         self.killed = False
         """Whether the test has killed it, so that its exit code says nothing."""
         words = [str(word) for word in command]
@@ -49,12 +49,12 @@ class Process:
         with output.open("w") as stream:
             if forked:
                 self._process = fork_server().start(
-                    *words[1:], output=stream.fileno(), environment=given, folder=folder
+                    *words[1:], output=stream.fileno(), environment=variables, folder=folder
                 )
                 return
             self._process = subprocess.Popen(
                 words,
-                env=given,
+                env=variables,
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
@@ -105,9 +105,9 @@ class Process:
 
         def look() -> T | None:
             running = self.running
-            found = condition()
-            assert found or running, f"ended with {self._process.returncode} before {what}:\n{self.text}"
-            return found
+            outcome = condition()
+            assert outcome or running, f"ended with {self._process.returncode} before {what}:\n{self.text}"
+            return outcome
 
         return wait_for(look, lambda: f"{what}:\n{self.text}", patience=patience)  # type: ignore[return-value]
 
@@ -116,11 +116,13 @@ class Process:
 
         def look() -> re.Match[str] | None:
             whole = (line for line in self.text.splitlines(keepends=True) if line.endswith("\n"))
-            return next((found for line in whole if (found := re.search(pattern, line.rstrip("\n")))), None)
+            return next(
+                (matched for line in whole if (matched := re.search(pattern, line.rstrip("\n")))), None
+            )
 
-        found = self.wait_until(look, f"a line with {pattern!r}", patience)
-        assert found is not None
-        return found
+        line_match = self.wait_until(look, f"a line with {pattern!r}", patience)
+        assert line_match is not None
+        return line_match
 
     def wait(self, patience: float = PATIENCE) -> int:
         """Its exit code, once it has ended by itself."""
@@ -201,8 +203,8 @@ class Processes:
     ) -> Process:
         """Start a program; what it is given by name replaces what all have."""
         output = self._folder / f"{len(self._started)}.txt"
-        given = self._environment if environment is None else environment
-        self._started.append(Process(*command, output=output, environment=given, **settings))
+        variables = self._environment if environment is None else environment
+        self._started.append(Process(*command, output=output, environment=variables, **settings))
         return self._started[-1]
 
     def python(self, *words: object, **settings: Any) -> Process:
@@ -233,16 +235,16 @@ class Processes:
 def no_plant_files() -> Iterator[None]:
     """Forget the plant files that this process has loaded, and know them again afterwards."""
     tables: list[dict[Any, Any]] = [files._BY_FILE, files._BY_NAME, files._WRITTEN]
-    kept = [dict(table) for table in tables]
+    copies = [dict(table) for table in tables]
     modules = {name: module for name, module in sys.modules.items() if name.startswith(files._MODULES)}
     for table in tables:
         table.clear()
     try:
         yield
     finally:
-        for table, known in zip(tables, kept, strict=True):
+        for table, copied_table in zip(tables, copies, strict=True):
             table.clear()
-            table.update(known)
+            table.update(copied_table)
         sys.modules.update(modules)
 
 

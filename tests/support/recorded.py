@@ -77,9 +77,9 @@ def wait_for_recorded(folder: Path, **counts: int) -> None:
     """Until so many messages of some topics are in the file; the recorder writes it out every half second."""
 
     def enough() -> bool:
-        found = written(folder)
-        return found is not None and all(
-            found.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
+        session = written(folder)
+        return session is not None and all(
+            session.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
         )
 
     wait_for(enough, lambda: str(written(folder)))

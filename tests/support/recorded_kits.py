@@ -15,4 +15,9 @@ def kit_rows(folder: str, name: str) -> list[dict[str, float]]:
     if not path.is_file():
         pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
     with path.open(encoding="utf-8") as table:
-        return [{title: float(text) for title, text in row.items()} for row in csv.DictReader(table)]
+        rows = list(csv.DictReader(table))
+    return [numbers_of(row) for row in rows]
+
+
+def numbers_of(row: dict[str, str]) -> dict[str, float]:
+    return {title: float(text) for title, text in row.items()}

@@ -26,7 +26,7 @@ def run(
     """The rig in its loop, from rest at `start`, °C; seen through its camera if there is a seed."""
     levels = np.array(reference, dtype=np.float64)
     realised = None if seed is None else SENSOR.realise(levels.size, GAINS.period, seed)
-    found = simulate_closed_loop(
+    loop_run = simulate_closed_loop(
         parameters, levels, states=begin(parameters, start), law=GAINS, sensor=realised
     )
-    return Window(levels, found.output, found.input, period=GAINS.period)
+    return Window(levels, loop_run.output, loop_run.input, period=GAINS.period)

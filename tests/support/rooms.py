@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -42,13 +44,13 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     `free`: heat that no file knows of, of people and the sun, kW: as much as on a bright day at noon.
     """
     random = np.random.default_rng(seed)
-    every = round(PERIOD / period)
-    size = _SIZE * every
+    rows_per_period = round(PERIOD / period)
+    size = _SIZE * rows_per_period
     hours = np.arange(size) * period / 3600.0
-    wander = np.cumsum(random.normal(0.0, 0.15 / every**0.5, size))
+    wander = np.cumsum(random.normal(0.0, 0.15 / rows_per_period**0.5, size))
     outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
     levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
-    heating = np.repeat(levels, 6 * every)
+    heating = np.repeat(levels, 6 * rows_per_period)
     store = random.uniform(2.0, 6.0)  # kWh/K
     loss = random.uniform(0.1, 0.25)  # kW/K
     floor = random.uniform(0.5, 2.0)
@@ -71,10 +73,10 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     bright = np.repeat(random.uniform(0.0, 1.0, 12), size // 12)  # of each day
     at_home = np.repeat(random.uniform(size=2 * 12) < 0.6, size // 24)  # of each half
     sun = bright * np.maximum(np.sin(2 * np.pi * (hours - 6.0) / 24.0), 0.0)
-    other = free * (sun + 0.3 * at_home)
+    free_heat = free * (sun + 0.3 * at_home)
     for k in range(size):
         air[k] = states[0]
-        states = moves @ [*states, heating[k], outside[k], other[k]]
+        states = moves @ [*states, heating[k], outside[k], free_heat[k]]
     air += noise
     return Window(air, air, heating, period=period, disturbances=outside[:, None])
 
@@ -83,6 +85,19 @@ def judged_room(seed: int, stores: int) -> str:
     """The reason of the match of such a room to the plant file with one store."""
     window = recorded_room(seed, stores)
     return carry_out(MatchRequest(window.last, 20.0, window, SETTINGS.start, None), SETTINGS).match.reason
+
+
+_STATES: Final = {"floor": "slab", "walls": "shell"}
+"""The temperature of each store."""
+
+
+def _air_beside(*stores: str) -> Structure:
+    """Air with these stores, each with a capacity and a conductance to the air."""
+    free = ["store", "loss", "free"]
+    for store in stores:
+        free += [store, f"to_{store}"]
+    states = [_STATES[store] for store in stores]
+    return Structure(free=tuple(free), parts=frozenset(stores), free_starts=tuple(states))
 
 
 class StoredRoom(Plant, name="stored_room"):
@@ -104,15 +119,11 @@ class StoredRoom(Plant, name="stored_room"):
     walls = Parameter(unit="kWh/K", default=15.0, bounds=(1.0, 200.0), positive=True)
     to_walls = Parameter(unit="kW/K", default=0.6, bounds=(0.02, 10.0), positive=True)
     structures = {  # noqa: RUF012
-        name: Structure(
-            free=("store", "loss", "free", *(k for part in parts for k in (part, f"to_{part}"))),
-            parts=frozenset(parts),
-            free_starts=tuple({"floor": "slab", "walls": "shell"}[part] for part in parts),
-        )
-        for name, parts in {
-            "air": (), "floor": ("floor",), "walls": ("walls",), "floor and walls": ("floor", "walls")
-        }.items()
-    }  # fmt: skip
+        "air": _air_beside(),
+        "floor": _air_beside("floor"),
+        "walls": _air_beside("walls"),
+        "floor and walls": _air_beside("floor", "walls"),
+    }
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """Energy balances; a heated floor gets what heats."""

@@ -99,11 +99,11 @@ def listening() -> Iterator[Listener]:
     """A listener with a context of its own."""
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    made = Listener(context)
+    opened = Listener(context)
     try:
-        yield made
+        yield opened
     finally:
-        made.close()
+        opened.close()
         rclpy.try_shutdown(context=context)
 
 

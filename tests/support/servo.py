@@ -56,10 +56,10 @@ def turns(truth: Parameters, samples: int, seed: int = 5) -> Window:
     rng = np.random.default_rng(seed)
     levels = [-80.0, -60.0, -40.0, -20.0, -8.0, 0.0, 10.0, 25.0, 45.0, 65.0, 85.0]
     u = np.zeros(samples)
-    at = 300
-    while at < samples:
+    row = 300
+    while row < samples:
         hold = int(rng.integers(30, 200))
-        u[at : at + hold] = rng.choice(levels)
-        at += hold
+        u[row : row + hold] = rng.choice(levels)
+        row += hold
     run = simulate_driven(truth, u, states=begin(truth, 0.0), period=PERIOD)
     return Window(np.zeros(samples), 0.18 * np.round(run.output / 0.18), u, period=PERIOD)

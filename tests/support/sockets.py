@@ -57,6 +57,6 @@ def ask(url: str, path: str = "/", *headers: str, host: str | None = None) -> tu
 def page_token(url: str) -> str:
     """The token that the live page gives its own script."""
     _, text = ask(url)
-    found = re.search(r'"token":"([^"]+)"', text)
-    assert found is not None, text
-    return found[1]
+    matched = re.search(r'"token":"([^"]+)"', text)
+    assert matched is not None, text
+    return matched[1]

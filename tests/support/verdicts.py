@@ -27,17 +27,17 @@ CANDIDATE = CandidateScore(
 
 def verdict(level: TrustLevel, sample: int = 300, *, nominal: str | None = "50 °C", **more: Any) -> Verdict:
     """A verdict that repeats the one before, unless more is said of it."""
-    known = nominal is not None
-    said: dict[str, Any] = {
+    has_nominal = nominal is not None
+    usual: dict[str, Any] = {
         **{"sample": sample, "first": 0, "last": sample - 1, "level": level, "stands": True},
-        **{"nominal": nominal, "order": "22221" if known else None, "reason": "because", "decimals": 2},
+        **{"nominal": nominal, "order": "22221" if has_nominal else None, "reason": "because", "decimals": 2},
         "level_reason": f"it is {level.value}",
         "candidates": (replace(CANDIDATE, name=nominal),) if nominal is not None else (),
-        "nu_gap": ((0.0,),) if known else (),
-        "driven_rms_y": 0.5 if known else math.nan,
-        "closed_rms_u": 7.0 if known else math.nan,
+        "nu_gap": ((0.0,),) if has_nominal else (),
+        "driven_rms_y": 0.5 if has_nominal else math.nan,
+        "closed_rms_u": 7.0 if has_nominal else math.nan,
     }
-    return Verdict(**said | more)
+    return Verdict(**usual | more)
 
 
 NONE_YET = verdict(TrustLevel.UNKNOWN, nominal=None)

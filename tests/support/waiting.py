@@ -35,9 +35,9 @@ def wait_for(
     `what` is printed on failure; as a function it is asked for what the failure looks like.
     """
     deadline = time.monotonic() + patience
-    while not (found := condition()):
+    while not (outcome := condition()):
         if time.monotonic() > deadline:
-            told = what if isinstance(what, str) else what()
-            pytest.fail(f"did not come within {patience:g} s: {told}")
+            awaited = what if isinstance(what, str) else what()
+            pytest.fail(f"did not come within {patience:g} s: {awaited}")
         meanwhile()
-    return found
+    return outcome

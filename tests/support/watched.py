@@ -93,17 +93,17 @@ def watched(
     samples = tuple(samples)
     if kind not in _SEEN:
         _SEEN[kind] = _Seen(begin())
-    seen = _SEEN[kind]
+    branch = _SEEN[kind]
     place = 0
-    while samples[place : place + _BLOCK] in seen.later:
-        seen = seen.later[samples[place : place + _BLOCK]]
+    while samples[place : place + _BLOCK] in branch.later:
+        branch = branch.later[samples[place : place + _BLOCK]]
         place += _BLOCK
-    latest: Watched = copied(seen.watched)
+    latest: Watched = copied(branch.watched)
     for count, sample in enumerate(samples[place:], place + 1):
         if until(latest.monitor):
             break
         latest.push(sample)
         if count % _BLOCK == 0:
             block = samples[count - _BLOCK : count]
-            seen = seen.later.setdefault(block, _Seen(copied(latest)))
+            branch = branch.later.setdefault(block, _Seen(copied(latest)))
     return latest

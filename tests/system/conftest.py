@@ -13,6 +13,6 @@ from tests.support.processes import Processes
 @pytest.fixture
 def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
     """Processes in the ROS domain of this worker, which end with the test."""
-    made = Processes(tmp_path / "output")
-    yield made
-    made.end()
+    started = Processes(tmp_path / "output")
+    yield started
+    started.end()

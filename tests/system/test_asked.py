@@ -55,23 +55,23 @@ class Graph:
     def hold(self, level: float) -> None:
         """Have the controller hold a set-point."""
         course = {"course.levels": [level], "course.holds": [1.0], "course.followed": True}
-        given = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
-        assert self._set(parameters=given).result.successful
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
+        assert self._set(parameters=parameters).result.successful
 
     def pass_samples(self, count: int) -> list[float]:
         """Wait for so many samples; returns their set-points."""
-        seen = len(self.samples)
-        self.listener.spin_until(lambda: len(self.samples) >= seen + count, f"{count} samples")
-        return [sample.reference[0] for sample in self.samples[seen:]]
+        count_before = len(self.samples)
+        self.listener.spin_until(lambda: len(self.samples) >= count_before + count, f"{count} samples")
+        return [sample.reference[0] for sample in self.samples[count_before:]]
 
     def answered(self, word: str) -> str:
         """Ask whether the law may be run, until the twin has a candidate and the plant rests."""
 
         def phase() -> str:
-            seen = len(self.twin)
+            count_before = len(self.twin)
             if self.ask_law(law=LAW, request=word).success:
-                self.listener.spin_until(lambda: len(self.twin) > seen, "a report")
-            return self.twin[-1].phase_name if len(self.twin) > seen else ""
+                self.listener.spin_until(lambda: len(self.twin) > count_before, "a report")
+            return self.twin[-1].phase_name if len(self.twin) > count_before else ""
 
         self.listener.spin_until(lambda: phase() == "answered", lambda: f"an answer: {self.twin[-1:]}")
         return str(self.twin[-1].decision)

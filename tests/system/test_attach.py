@@ -101,7 +101,7 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     ],
 )
 def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    done = run_twinmatch("attach", *options, folder=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = run_twinmatch("attach", *options, folder=tmp_path)
+    assert completed.returncode == 2
+    assert words in completed.stderr
+    assert "Traceback" not in completed.stderr

@@ -60,7 +60,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     ):
         program, *arguments = shlex.split(command)
         assert program == "twinmatch"
-        done = run_twinmatch(*arguments, folder=tmp_path)
-        assert done.returncode == 0, done.stderr
-        assert words in done.stdout, done.stdout
+        completed = run_twinmatch(*arguments, folder=tmp_path)
+        assert completed.returncode == 0, completed.stderr
+        assert words in completed.stdout, completed.stdout
     assert len(read_session(tmp_path / "from_bag").samples) >= recorded

@@ -49,9 +49,9 @@ class Home:
         self._processes = processes
         self.broker = RunningBroker(folder / "broker", require("amqtt"))
         for name, text in FILES.items():
-            own = text.replace("mqtt://127.0.0.1", self.broker.url).replace("1883", str(self.broker.port))
-            own = own.replace("time.sleep(0.1)", f"time.sleep({HURRY})")
-            (folder / name).write_text(own, encoding="utf-8")
+            content = text.replace("mqtt://127.0.0.1", self.broker.url).replace("1883", str(self.broker.port))
+            content = content.replace("time.sleep(0.1)", f"time.sleep({HURRY})")
+            (folder / name).write_text(content, encoding="utf-8")
         self.play()
 
     def play(self) -> None:
@@ -67,9 +67,9 @@ class Home:
 @pytest.fixture
 def home(tmp_path: Path, processes: Processes) -> Iterator[Home]:
     with no_plant_files():
-        made = Home(tmp_path, processes)
-        yield made
-        made.broker.close()
+        running_home = Home(tmp_path, processes)
+        yield running_home
+        running_home.broker.close()
 
 
 def samples_in(folder: Path) -> int:
@@ -81,26 +81,26 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(home: Home, tmp_pat
     listed = run_twinmatch(*COMMANDS[0].replace("mqtt://127.0.0.1", home.broker.url).split(), folder=tmp_path)
     assert "ha/climate/living_room/current_temperature  " in listed.stdout
     assert "ha/climate/living_room/hvac_action  'heating'" in listed.stdout
-    told: dict[str, bytes] = {}
+    payloads: dict[str, bytes] = {}
     reader = Broker.parse(home.broker.url).connected(
         lambda client: client.subscribe("twinmatch/#") and None,
-        lambda message: told.update({message.topic: bytes(message.payload)}),
+        lambda message: payloads.update({message.topic: bytes(message.payload)}),
     )
     run = home.attach("--tell", home.broker.url)
     run.said(VERDICT, FIRST)
     [address] = re.findall(r"page: (http\S+)", run.text)
     with urllib.request.urlopen(f"{address}metrics") as answer:
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in answer.read().decode()
-    wait_for(lambda: b'"level": "unknown"' in told.get("twinmatch/warm_room/state", b""), "the state")
+    wait_for(lambda: b'"level": "unknown"' in payloads.get("twinmatch/warm_room/state", b""), "the state")
     assert run.end(signal.SIGINT) == 0
-    wait_for(lambda: told["twinmatch/warm_room/status"] == b"offline", "the status")
+    wait_for(lambda: payloads["twinmatch/warm_room/status"] == b"offline", "the status")
     reader.disconnect()
     reader.loop_stop()
     assert re.search(r"ended: \d+ samples, [1-9]\d* verdicts", run.text)
     with no_plant_files():
-        again = verify_session(tmp_path / "first", plant=str(tmp_path / "room.py"))
-    assert again.identical, again.difference
-    assert again.verdicts
+        verification = verify_session(tmp_path / "first", plant=str(tmp_path / "room.py"))
+    assert verification.identical, verification.difference
+    assert verification.verdicts
 
 
 @pytest.mark.ros
@@ -162,10 +162,10 @@ def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
 )
 def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
     mapped = () if "--map" in options or "--list" in options else ("--map", "output=a", "input=b")
-    done = run_twinmatch("attach", "--alone", "--no-record", *options, *mapped, folder=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = run_twinmatch("attach", "--alone", "--no-record", *options, *mapped, folder=tmp_path)
+    assert completed.returncode == 2
+    assert words in completed.stderr
+    assert "Traceback" not in completed.stderr
 
 
 def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
@@ -173,8 +173,8 @@ def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         url = f"mqtt://127.0.0.1:{free.getsockname()[1]}"
     words = f"attach --alone --source {url} --map output=a input=b".split()
-    said = tmp_path / "said.txt"
-    process = Process(sys.executable, "-c", without("paho"), *words, output=said, folder=tmp_path)
+    output = tmp_path / "said.txt"
+    process = Process(sys.executable, "-c", without("paho"), *words, output=output, folder=tmp_path)
     assert process.wait() == 2
     assert "mqtt:// needs paho, which is not installed" in process.text
     assert "pip install 'twinmatch[mqtt]'" in process.text

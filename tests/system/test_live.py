@@ -79,9 +79,9 @@ class LiveRun:
 
     @property
     def control(self) -> str:
-        found = re.search(r"control: (\S+)", self.text)
-        assert found, self.text
-        return found[1]
+        matched = re.search(r"control: (\S+)", self.text)
+        assert matched, self.text
+        return matched[1]
 
     def state(self) -> dict[str, float]:
         return dict(json.loads(tell(self.control, "state")))
@@ -142,15 +142,17 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     run = live_run(board="auto")
     run.wait_until_driving()
     control = Path(run.control)
-    found = {name: run.child(name) for name in CHILDREN}
-    camera = Process.children_of(found["virtual_rig"] or 0)
+    children = {name: run.child(name) for name in CHILDREN}
+    camera = Process.children_of(children["virtual_rig"] or 0)
     before = run.state()["time"]
     with busy(2):
         run.wait_until(lambda: run.state()["time"] >= before + 2, "two seconds of plant time")
-    for victim in (*found.values(), *camera, run.process.id):
-        assert victim is not None, found
+    for victim in (*children.values(), *camera, run.process.id):
+        assert victim is not None, children
         os.kill(victim, signal.SIGSTOP)
-        time.sleep(11.0 if victim == found["rig"] else 2.0)  # the longest promised, where most depends on it
+        time.sleep(
+            11.0 if victim == children["rig"] else 2.0
+        )  # the longest promised, where most depends on it
         os.kill(victim, signal.SIGCONT)
     assert run.process.wait(4 * PATIENCE) == 0, run.text
     assert "ended: the profile has ended" in run.text
@@ -169,7 +171,8 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     assert forecast == indices[forecast[0] :]
     assert not control.parent.exists()
     wait_for(
-        lambda: not any(Path(f"/proc/{one}").exists() for one in (*found.values(), *camera)), "their end"
+        lambda: not any(Path(f"/proc/{process_id}").exists() for process_id in (*children.values(), *camera)),
+        "their end",
     )
 
 
@@ -287,8 +290,8 @@ def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_sa
     assert "Traceback" not in run.text
     # Of two samples of one index the twin may take one and the recorder the other.
     doubted = [note for note in verify_session(run.session).notes if "are doubted" in note]
-    found = [re.match(r"samples (\d+) to (\d+) are doubted: /plant/sample", note) for note in doubted]
-    assert any(m and int(m[1]) < last and int(m[2]) >= last - 1 for m in found), doubted
+    spans = [re.match(r"samples (\d+) to (\d+) are doubted: /plant/sample", note) for note in doubted]
+    assert any(m and int(m[1]) < last and int(m[2]) >= last - 1 for m in spans), doubted
     assert "controller and listener" in " ".join(doubted)
 
 
@@ -325,9 +328,9 @@ def fill_up(run: LiveRun, disk: Path) -> None:
 
 def whole(session: Path) -> int:
     """How many samples a session kept, all up to where it ends."""
-    kept = [sample.index for sample in read_session(session).samples]
-    assert kept == list(range(len(kept)))
-    return len(kept)
+    indices = [sample.index for sample in read_session(session).samples]
+    assert indices == list(range(len(indices)))
+    return len(indices)
 
 
 @pytest.mark.long(

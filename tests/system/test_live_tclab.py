@@ -44,8 +44,8 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     words += ("--session", session, "--fault", "drive-lost@140")
     process = processes.python(LIVE, *words)
     assert process.wait(6 * PATIENCE) == 0, process.text
-    found = verify_session(session)
-    assert found.identical, found.difference
+    verification = verify_session(session)
+    assert verification.identical, verification.difference
     samples = read_session(session).samples
     topics = {message.topic.name for message in read_session(session).messages()}
     assert {"/plant/reading", "/plant/command", "/plant/applied"} <= topics
@@ -104,6 +104,6 @@ def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(process
 
 
 def test_a_fault_that_a_kit_cannot_have_is_refused() -> None:
-    done = run_twinmatch("virtual-rig", "--plant", "tclab", "--fault", "fan-failed@3")
-    assert done.returncode == 2
-    assert "fault 'fan-failed': not available for this plant" in done.stderr
+    completed = run_twinmatch("virtual-rig", "--plant", "tclab", "--fault", "fan-failed@3")
+    assert completed.returncode == 2
+    assert "fault 'fan-failed': not available for this plant" in completed.stderr

@@ -121,14 +121,14 @@ def test_every_command_of_the_readme_is_known_here_and_no_other() -> None:
 
 @pytest.mark.parametrize("command", MAKES)
 def test_make_would_do_it(command: str) -> None:
-    done = subprocess.run(
+    completed = subprocess.run(
         [*command.split(), "--dry-run", "--always-make"],
         cwd=PROJECT,
         capture_output=True,
         text=True,
         check=True,
     )
-    assert MAKES[command] in done.stdout
+    assert MAKES[command] in completed.stdout
 
 
 @pytest.mark.parametrize("command", PARSED)
@@ -149,16 +149,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     The first candidate comes at sample 400, the second at 600.
     """
-    made = tmp_path_factory.mktemp("readme")
+    directory = tmp_path_factory.mktemp("readme")
     samples = read_session(SHIPPED).samples
-    write_session(made / "bags" / SHIPPED.name, samples[:1300])
-    write_session(made / "longer", samples[:700])
-    write_session(made / "short", samples[:410])
-    write_session(made / "judged" / "one", samples[:410])
+    write_session(directory / "bags" / SHIPPED.name, samples[:1300])
+    write_session(directory / "longer", samples[:700])
+    write_session(directory / "short", samples[:410])
+    write_session(directory / "judged" / "one", samples[:410])
     for name in ("launch_scripts", "config"):
-        (made / name).symlink_to(PROJECT / name)
-    (made / ".venv").symlink_to(sys.prefix)
-    return made
+        (directory / name).symlink_to(PROJECT / name)
+    (directory / ".venv").symlink_to(sys.prefix)
+    return directory
 
 
 def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
@@ -166,10 +166,10 @@ def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
         command = command.replace(placeholder, value)
     program, *arguments = shlex.split(command)
     if Path(program).name == "twinmatch" and how.until is None and not how.nodes:
-        done = run_twinmatch(*arguments, folder=folder)
-        assert done.returncode == 0, done.stderr
-        assert re.search(how.says, done.stdout, re.MULTILINE), done.stdout
-        return done.stdout
+        completed = run_twinmatch(*arguments, folder=folder)
+        assert completed.returncode == 0, completed.stderr
+        assert re.search(how.says, completed.stdout, re.MULTILINE), completed.stdout
+        return completed.stdout
     if program == "source":
         process = processes.start("bash", "-c", command, folder=folder)
     else:  # forked: that the installed programs start is shown by the first, and by tests of the wheel
@@ -210,14 +210,14 @@ def bag(folder: Path, plant: None) -> None:  # noqa: ARG001
     periods are refused at import, rightly."""
     if (folder / "bag").is_dir():
         return
-    made: list[tuple[float, str, Any]] = []
+    messages: list[tuple[float, str, Any]] = []
     for tick in range(100):
-        at = tick / 10
-        left = 0.9**tick
-        made.append((at, "/sp", number(30.0)))
-        made.append((at, "/camera", temperature(at, 30.0 - 10.0 * left)))
-        made.append((at, "/cmd", number(20.0 + 40.0 * left)))
-    write_bag(folder / "bag", StoragePlugin.MCAP, made)
+        time = tick / 10
+        share_left = 0.9**tick
+        messages.append((time, "/sp", number(30.0)))
+        messages.append((time, "/camera", temperature(time, 30.0 - 10.0 * share_left)))
+        messages.append((time, "/cmd", number(20.0 + 40.0 * share_left)))
+    write_bag(folder / "bag", StoragePlugin.MCAP, messages)
 
 
 @pytest.fixture
@@ -232,9 +232,9 @@ def log(folder: Path) -> None:
 def law(folder: Path) -> None:
     """The example of docs/controllers.md."""
     text = (PROJECT / "docs" / "controllers.md").read_text("utf-8")
-    found = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    assert found
-    (folder / "law.json").write_text(found[1], encoding="utf-8")
+    example = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert example
+    (folder / "law.json").write_text(example[1], encoding="utf-8")
 
 
 @pytest.fixture
@@ -268,24 +268,24 @@ def test_the_demo_ends_with_a_report_and_a_second_one_starts_from_it(
 ) -> None:
     """Not through all its set-points, but until whichever structure leads is determined and has beaten both
     baselines; what the first has learned is trusted a minute after the second begins."""
-    given = (PROJECT / "config" / "demo.yaml").read_text("utf-8")
-    said = []
+    shipped = (PROJECT / "config" / "demo.yaml").read_text("utf-8")
+    reports = []
     for holds in ("60.0, 200.0, 200.0, 200.0", "60.0, 200.0, 20.0, 20.0"):
-        config = given
+        config = shipped
         for name, values in (("levels", "30.0, 50.0, 40.0, 60.0"), ("holds", holds)):
             config, replaced = re.subn(rf"(profile\.{name}: ).*", rf"\g<1>[{values}]", config)
             assert replaced == 1
         (folder / "demo.yaml").write_text(config, "utf-8")
         command = "python launch_scripts/demo.py --config demo.yaml --memory demo.sqlite"
-        said.append(run(command, Runs("^report: "), folder, processes))
-    first, second = said
+        reports.append(run(command, Runs("^report: "), folder, processes))
+    first, second = reports
     for text in (first, second):
         assert re.search(r"and [1-9]\d* match.* the same, bit for bit", text), text
         assert re.search(r"^remembered demo_.*: [1-9] structures$", text, re.MULTILINE), text
     assert "nothing is remembered yet" in first
     assert "1 session is remembered" in second
-    told = {
+    levels = {
         text: re.findall(r"^\d+ +(trusted|unknown|doubtful)", text, re.MULTILINE) for text in (first, second)
     }
-    assert told[first][0] == "unknown", first
-    assert told[second][0] == "trusted", second
+    assert levels[first][0] == "unknown", first
+    assert levels[second][0] == "trusted", second

@@ -96,8 +96,8 @@ class Hour:
                 self.gaps.append(verdict.nu_gap[i][j])
                 self.apart.append(rms(answers[i] - answers[j]))
         if k % EVERY == 0 and forecaster.leader is not None:
-            told = forecaster.outlook().forecast(reference)
-            bands = ((told.output, 0), (told.input, 1))
+            forecast = forecaster.outlook().forecast(reference)
+            bands = ((forecast.output, 0), (forecast.input, 1))
             self.inside.append(
                 [b.low[h - 1] <= signals[row, k + h] <= b.high[h - 1] for h in AT for b, row in bands]
             )
@@ -109,8 +109,8 @@ def rms(difference: FloatArray) -> float:
 
 
 def error(outlook: Outlook, reference: FloatArray, came: FloatArray) -> float:
-    told = outlook.predicted(reference, banded=False)
-    return rms(told.means - came)
+    prediction = outlook.predicted(reference, banded=False)
+    return rms(prediction.means - came)
 
 
 def answer(parameters: Parameters, reference: FloatArray, start: float) -> FloatArray:
@@ -128,9 +128,9 @@ def hour(recordings: dict[int, Path]) -> Callable[[int], Hour]:
             pytest.skip(f"recording {number} is not among those present")
         session = open_any(recordings[number])
         samples = list(session.samples)
-        found = Hour(samples, Listener(session.name, samples, SETTINGS, BACKTESTED))
-        found.judgement = judge(session, terms_from_files(session), beside=found.listen)
-        return found
+        measured_hour = Hour(samples, Listener(session.name, samples, SETTINGS, BACKTESTED))
+        measured_hour.judgement = judge(session, terms_from_files(session), beside=measured_hour.listen)
+        return measured_hour
 
     return judged
 
@@ -168,8 +168,8 @@ def test_results_are_the_golden_ones(numbers: Sequence[int], hour: Callable[[int
     """What `twinmatch replay --json` writes; forecasts that are asked for beside it move no bit."""
     for number in numbers:
         judgement = hour(number).judgement
-        told = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
-        as_read = json.loads(json.dumps(told))
+        written = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+        as_read = json.loads(json.dumps(written))
         different, compared = compare(f"rig_{number}", digest({"replay": as_read}))
         assert not different, f"hour {number}, compared: {compared}"
 
@@ -209,9 +209,9 @@ def frozen(hour: Window, first: int, last: int) -> Window:
 def test_a_sensor_that_freezes_in_a_real_hour_is_reported(recorded_hour: Callable[[int], Window]) -> None:
     samples = samples_of(frozen(recorded_hour(9), 400, 700))[:900]
     verdicts = judge_samples("frozen", samples, TwinSettings()).verdicts
-    told = next(v for v in verdicts if v.level is TrustLevel.FAULT)
-    assert told.fault == "sensor-frozen"
-    assert 400 < told.sample <= 430
+    first_fault = next(v for v in verdicts if v.level is TrustLevel.FAULT)
+    assert first_fault.fault == "sensor-frozen"
+    assert 400 < first_fault.sample <= 430
     after = [v for v in verdicts if v.sample > 750]
     assert after
     assert all(v.level is not TrustLevel.FAULT for v in after)
@@ -249,7 +249,8 @@ def test_bands_hold_what_they_promise(hours: list[Hour]) -> None:
 
 @ALL_HOURS
 def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hour]) -> None:
-    gaps, apart = (np.concatenate([getattr(h, n) for h in hours]) for n in ("gaps", "apart"))
+    gaps = np.concatenate([hour.gaps for hour in hours])
+    apart = np.concatenate([hour.apart for hour in hours])
     assert spearmanr(gaps, apart).statistic >= 0.6
     assert gaps.max() < 0.9
 
@@ -257,13 +258,13 @@ def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hou
 @pytest.mark.parametrize("number", [SHORTEST, pytest.param(20, marks=ALL_HOURS)])
 def test_the_leader_beats_everybody(number: int, hour: Callable[[int], Hour]) -> None:
     """Over five minutes: a smaller error than any peer, near the best twin, an honest band."""
-    found = hour(number)
-    at_five_minutes = [c for c in graded(found.judgement, found.graded).cards if c.horizon == 300]
+    judged_hour = hour(number)
+    at_five_minutes = [c for c in graded(judged_hour.judgement, judged_hour.graded).cards if c.horizon == 300]
     (leader,) = (c for c in at_five_minutes if c.who == LEADER)
-    others = [c for c in at_five_minutes if c.who not in TWINS]
-    assert others
-    assert {c.who for c in others} == {"persistence", "ARX"}
-    assert all(c.median > leader.median for c in others)
+    peers = [c for c in at_five_minutes if c.who not in TWINS]
+    assert peers
+    assert {c.who for c in peers} == {"persistence", "ARX"}
+    assert all(c.median > leader.median for c in peers)
     assert leader.ratio < 1.15
     assert leader.coverage_output == pytest.approx(0.9, abs=0.08)
     assert leader.coverage_input == pytest.approx(0.9, abs=0.08)

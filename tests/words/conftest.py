@@ -36,8 +36,8 @@ class Shown(NamedTuple):
 
     def speaks_of_itself(self, text: str, *words: str) -> None:
         """Assert that a text has its words, or those given, and none of others' plants."""
-        found = [text[max(0, m.start() - 60) : m.end() + 40] for m in FOREIGN.finditer(text)]
-        assert not found, found[:5]
+        foreign_words = [text[max(0, m.start() - 60) : m.end() + 40] for m in FOREIGN.finditer(text)]
+        assert not foreign_words, foreign_words[:5]
         for word in words or self.words:
             assert word in text, word
 

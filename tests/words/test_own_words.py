@@ -116,13 +116,13 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
 
 
 def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
-    made = layout(description_of(shown.plant), rig="/rig_a")
-    shown.speaks_of_itself(json.dumps(made, ensure_ascii=False).replace("/rig_a/", ""))
+    viewer_layout = layout(description_of(shown.plant), rig="/rig_a")
+    shown.speaks_of_itself(json.dumps(viewer_layout, ensure_ascii=False).replace("/rig_a/", ""))
     y = shown.plant.output
     u = shown.plant.drive
-    axes = [p["yAxisLabel"] for name, p in made["configById"].items() if name.startswith("Plot!")]
+    axes = [p["yAxisLabel"] for name, p in viewer_layout["configById"].items() if name.startswith("Plot!")]
     assert axes == [f"{q.name} / {q.unit}" for q in (y, u, y, u, y, u)]
-    topics = set(re.findall(r'"(/[a-z_/]+)', json.dumps(made)))
+    topics = set(re.findall(r'"(/[a-z_/]+)', json.dumps(viewer_layout)))
     assert {topic for topic in topics if not topic.startswith("/rig_a/")} == {"/diagnostics", "/rosout"}
 
 

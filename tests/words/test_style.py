@@ -58,10 +58,10 @@ def findings(text: str) -> list[str]:
     shown = re.sub(r"`[^`\n]+`|\]\([^)\n]*\)|\S*/\S*\.(?:md|py)\b|\w+(?:\.\w+){2,}", "•", text)
     flat = " ".join(word for word in shown.split() if word != "#")
     return [
-        f'"{found[0].strip()}": {instead}'
+        f'"{ruled_out[0].strip()}": {instead}'
         for suspect in SUSPECT.finditer(flat)
         for pattern, instead in RULES.items()
-        if (found := re.compile(pattern, re.IGNORECASE).match(flat, suspect.start()))
+        if (ruled_out := re.compile(pattern, re.IGNORECASE).match(flat, suspect.start()))
     ]
 
 
@@ -74,7 +74,7 @@ def prose_of_python(source: str) -> Iterator[str]:
             yield node.value
         elif isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             yield node.name.replace("_", " ")
-    yield "\n".join(found[1] for found in COMMENT.finditer(source) if found[1])
+    yield "\n".join(comment[1] for comment in COMMENT.finditer(source) if comment[1])
 
 
 def prose(path: Path) -> Iterator[str]:
@@ -124,24 +124,24 @@ def files() -> list[Path]:
 def test_a_bad_sentence_is_found_wherever_it_stands(tmp_path: Path, name: str, text: str) -> None:
     page = tmp_path / name
     page.write_text(text, encoding="utf-8")
-    found = {found for part in prose(page) for found in findings(part)}
-    assert found == {f'"is no": {next(iter(RULES.values()))}'}
+    reported = {reported for part in prose(page) for reported in findings(part)}
+    assert reported == {f'"is no": {next(iter(RULES.values()))}'}
 
 
 def test_identifiers_code_and_paths_are_left_out() -> None:
     source = 'heard = {"heard": 1}  # see docs/who-foretells.md and `foretell`\n'
-    assert not [found for part in prose_of_python(source) for found in findings(part)]
+    assert not [finding for part in prose_of_python(source) for finding in findings(part)]
 
 
 def test_nothing_that_is_ruled_out_is_written() -> None:
     paths = files()
     assert {".py", ".md", ".msg", ".srv", ".yaml", ".html"} <= {path.suffix for path in paths}
-    found = [
+    reported = [
         f"{path.relative_to(PROJECT)}: {words}"
         for path in paths
         for words in sorted(set(findings("\n•\n".join(prose(path)))))  # no wording reaches across a •
     ]
-    assert not found, "wordings that docs/style.md rules out:\n" + "\n".join(found)
+    assert not reported, "wordings that docs/style.md rules out:\n" + "\n".join(reported)
 
 
 def test_the_style_page_shows_pairs_that_the_rules_agree_with() -> None:

@@ -55,19 +55,19 @@ class Viewer:
         if isinstance(frame, bytes):
             self._read_data(frame)
             return True
-        said = json.loads(frame)
-        if said["op"] == "serverInfo":
-            self.info = said
-            self.sessions.append(said["sessionId"])
-        elif said["op"] == "advertise":
-            self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+        greeting = json.loads(frame)
+        if greeting["op"] == "serverInfo":
+            self.info = greeting
+            self.sessions.append(greeting["sessionId"])
+        elif greeting["op"] == "advertise":
+            self.channels |= {channel["topic"]: channel for channel in greeting["channels"]}
         return True
 
     def _read_data(self, frame: bytes) -> None:
         kind = frame[0]
         if kind == 1:
-            number, at = struct.unpack_from("<IQ", frame, 1)
-            self.messages.append(Arrived(self._topics[number], at, frame[13:]))
+            number, stamp = struct.unpack_from("<IQ", frame, 1)
+            self.messages.append(Arrived(self._topics[number], stamp, frame[13:]))
         elif kind == 2:
             self.times.append(struct.unpack_from("<Q", frame, 1)[0])
 

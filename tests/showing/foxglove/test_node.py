@@ -93,8 +93,8 @@ def graph(ros: None) -> Iterator[Callable[..., Graph]]:  # noqa: ARG001
         return started[-1]
 
     yield start
-    for made in started:
-        made.close()
+    for opened in started:
+        opened.close()
 
 
 def decode(channel: dict[str, Any], data: bytes) -> Any:
@@ -117,11 +117,11 @@ def definitions(path: Path) -> dict[str, tuple[str, ...]]:
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    found = {}
+    by_topic = {}
     for channel in summary.channels.values():
         schema = summary.schemas[channel.schema_id]
-        found[channel.topic] = channel.message_encoding, schema.name, schema.encoding, schema.data.decode()
-    return found
+        by_topic[channel.topic] = channel.message_encoding, schema.name, schema.encoding, schema.data.decode()
+    return by_topic
 
 
 def test_messages_arrive_whole_and_decode_by_the_definitions_that_come_with_them(
@@ -142,14 +142,14 @@ def test_messages_arrive_whole_and_decode_by_the_definitions_that_come_with_them
     assert str(deserialize_message(arrived, ModelScore)) == str(score)
     first = deserialize_message(viewer.heard("/plant/sample")[0].data, LoopSample)
     assert first == sent[first.index]
-    seen = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
-    assert (list(seen.output), list(seen.input)) == ([25.5 + seen.index], [-85.0])
-    seen = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
-    assert (seen.nominal, seen.decided) == ("60 °C", score.decided)
-    assert [list(c.nu_gap_low) for c in seen.candidates] == [list(c.nu_gap_low) for c in score.candidates]
-    assert seen.candidates[0].orders[0].y.gain == 12.5
-    seen = decode(viewer.channels["/thermal/image"], viewer.heard("/thermal/image")[-1].data)
-    assert bytes(seen.data) == bytes(range(24))
+    decoded = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
+    assert (list(decoded.output), list(decoded.input)) == ([25.5 + decoded.index], [-85.0])
+    decoded = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
+    assert (decoded.nominal, decoded.decided) == ("60 °C", score.decided)
+    assert [list(c.nu_gap_low) for c in decoded.candidates] == [list(c.nu_gap_low) for c in score.candidates]
+    assert decoded.candidates[0].orders[0].y.gain == 12.5
+    decoded = decode(viewer.channels["/thermal/image"], viewer.heard("/thermal/image")[-1].data)
+    assert bytes(decoded.data) == bytes(range(24))
 
 
 def test_definitions_are_those_of_an_imported_session_and_there_before_the_graph(
@@ -241,7 +241,7 @@ def test_it_shows_the_rig_of_its_namespace_and_tells_how_it_is(
     serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
 ) -> None:
     rig = graph("/rig_a")
-    other = graph("/rig_b")
+    other_rig = graph("/rig_b")
     viewer = view(serve("--namespace", "/rig_a").url)
     viewer.subscribe("/diagnostics", "/rig_a/plant/sample")
     viewer.wait(rig.is_heard, "its reader")
@@ -253,7 +253,7 @@ def test_it_shows_the_rig_of_its_namespace_and_tells_how_it_is(
         return viewer.heard("/rig_a/plant/sample")
 
     viewer.wait(shown, "a sample")
-    assert not other.samples.get_subscription_count()
+    assert not other_rig.samples.get_subscription_count()
     assert not any(name.startswith(("/rig_b", "/plant", "/twin")) for name in viewer.channels)
     viewer.wait(lambda: viewer.heard("/diagnostics"), "its health")
     status = deserialize_message(viewer.heard("/diagnostics")[-1].data, DiagnosticArray).status[0]
@@ -286,10 +286,10 @@ def test_a_layout_is_written_when_the_plant_says_what_it_is(
         lambda: out.exists() and "Image!thermal" in out.read_text("utf-8"), "a panel for the graph's image"
     )
     serving.said(f"layout for DC motor: {re.escape(str(out))}")
-    made = json.loads(out.read_text("utf-8"))["configById"]
-    assert made["Plot!output"]["yAxisLabel"] == "speed / rad/s"
-    assert made["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
-    assert len(made["Plot!input"]["paths"]) == 2  # nobody applies a PWM here
+    panels = json.loads(out.read_text("utf-8"))["configById"]
+    assert panels["Plot!output"]["yAxisLabel"] == "speed / rad/s"
+    assert panels["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
+    assert len(panels["Plot!input"]["paths"]) == 2  # nobody applies a PWM here
 
 
 def test_what_a_sensor_should_read_reaches_the_viewer_beside_a_column_for_each_signal(
@@ -301,8 +301,8 @@ def test_what_a_sensor_should_read_reaches_the_viewer_beside_a_column_for_each_s
     describer = rig.node.create_publisher(PlantDescription, "plant/description", LATCHED)
     describer.publish(description_message(description_of(TCLabBoth), 1.0))
     wait_for(lambda: out.exists() and "temperature T2 / °C" in out.read_text("utf-8"), "its signals' names")
-    made = json.loads(out.read_text("utf-8"))["configById"]
-    assert made["Plot!output_2"]["paths"][1]["value"] == "/rig_a/plant/sample.output[1]"
+    panels = json.loads(out.read_text("utf-8"))["configById"]
+    assert panels["Plot!output_2"]["paths"][1]["value"] == "/rig_a/plant/sample.output[1]"
     estimates = rig.node.create_publisher(EstimatedReading, "plant/estimate", RELIABLE)
     viewer = view(serving.url)
     viewer.subscribe("/rig_a/plant/estimate")

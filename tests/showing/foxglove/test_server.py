@@ -33,9 +33,9 @@ TEXT = "float64 data\n"
 
 @pytest.fixture
 def server() -> Iterator[GraphServer]:
-    made = GraphServer("rig", "127.0.0.1", 0)
-    yield made
-    made.close()
+    opened = GraphServer("rig", "127.0.0.1", 0)
+    yield opened
+    opened.close()
 
 
 def number(value: float) -> bytes:
@@ -49,13 +49,13 @@ def test_a_topic_is_offered_with_its_definition_and_its_bytes_arrive_as_they_wer
     server.advertise("/a", "std_msgs/msg/Float64", TEXT)
     viewer = view(server.url)
     viewer.subscribe("/a")
-    told = {
+    offer = {
         "encoding": "cdr",
         "schemaEncoding": "ros2msg",
         "schemaName": "std_msgs/msg/Float64",
         "schema": TEXT,
     }
-    assert viewer.channels["/a"].items() >= told.items()
+    assert viewer.channels["/a"].items() >= offer.items()
     viewer.wait(lambda: server.viewers == 1, "the subscription")
     server.send("/a", number(1.5), 123)
     viewer.wait(lambda: viewer.messages, "the message")
@@ -166,11 +166,11 @@ def test_odd_requests_end_nothing_and_print_nothing_but_refusals(
         assert answer == b"" or answer[9:10] in b"14", (k, request, answer)
     viewer = view(server.url)
     viewer.wait(lambda: viewer.info, "the server's greeting")
-    told = capfd.readouterr()
-    assert told.err == ""
-    assert 0 < len(told.out.splitlines()) <= MAX_TOLD
+    printed = capfd.readouterr()
+    assert printed.err == ""
+    assert 0 < len(printed.out.splitlines()) <= MAX_TOLD
     assert all(
-        line.startswith("foxglove: refused: ") and line.isprintable() for line in told.out.splitlines()
+        line.startswith("foxglove: refused: ") and line.isprintable() for line in printed.out.splitlines()
     )
 
 
@@ -221,9 +221,9 @@ def field_type(path: str) -> str:
 
 
 def panels(kind: str) -> list[dict[str, Any]]:
-    found = [config for name, config in PANELS.items() if name.startswith(f"{kind}!")]
-    assert found
-    return found
+    configs = [config for name, config in PANELS.items() if name.startswith(f"{kind}!")]
+    assert configs
+    return configs
 
 
 def placed(node: Any, panels: dict[str, Any] = PANELS) -> Iterator[str]:
@@ -251,13 +251,13 @@ def test_every_panel_has_its_place() -> None:
 def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) -> None:
     """Four are side by side, and more below."""
     two = description_of(TCLabBoth)
-    kinds = {
-        kind: tuple(replace(getattr(two, kind)[0], text=f"{kind} {k}") for k in range(loops))
-        for kind in ("references", "outputs", "inputs")
-    }
-    made = layout(replace(two, **kinds))
-    panels = made["configById"]
-    places = made["layout"]
+    kinds = {}
+    for kind in ("references", "outputs", "inputs"):
+        (first, *_) = getattr(two, kind)
+        kinds[kind] = tuple(replace(first, text=f"{kind} {k}") for k in range(loops))
+    arranged = layout(replace(two, **kinds))
+    panels = arranged["configById"]
+    places = arranged["layout"]
     assert sorted(placed(places, panels)) == sorted(panels)
     for k in range(loops):
         ending = f"_{k + 1}" if k else ""
@@ -320,8 +320,8 @@ def test_the_light_knows_every_level() -> None:
 
 def test_the_topics_are_those_of_the_subscribers_page() -> None:
     page = (PROJECT / "docs" / "subscribing.md").read_text("utf-8")
-    told = dict(re.findall(r"^\| `(\S+)` \| `(\w+/\w+)` \|", page, re.MULTILINE))
+    documented = dict(re.findall(r"^\| `(\S+)` \| `(\w+/\w+)` \|", page, re.MULTILINE))
     offered = {name: kind.replace("/msg/", "/") for name, kind in (TOPICS | OUTSIDE).items()}
-    assert told.items() - {("/clock", "rosgraph_msgs/Clock")} == offered.items() - {
+    assert documented.items() - {("/clock", "rosgraph_msgs/Clock")} == offered.items() - {
         ("/rosout", "rcl_interfaces/Log")
     }

@@ -157,8 +157,8 @@ class Browser:
     def elsewhere(self, url: str) -> list[str]:
         """What the page loaded from somewhere else."""
         names = self.run("return performance.getEntriesByType('resource').map((e) => e.name)")
-        own = (url, url.replace("http", "ws"), "data:", "blob:")
-        return [name for name in names if not name.startswith(own)]
+        own_beginnings = (url, url.replace("http", "ws"), "data:", "blob:")
+        return [name for name in names if not name.startswith(own_beginnings)]
 
 
 @pytest.fixture(scope="session")

@@ -102,12 +102,12 @@ def test_loopback_names_get_the_page_and_its_websocket(page: Any, browser: Any, 
 def test_the_viewers_server_opens_for_local_pages_alone(page: Any, browser: Any, elsewhere: str) -> None:
     server = GraphServer("rig", "127.0.0.1", 0)
     viewer = ["foxglove.sdk.v1"]
-    found = {}
+    outcomes = {}
     for place in (page.url, elsewhere):
         browser.driver.get(place)
         for name in ("127.0.0.1", FOREIGN):
             outcome = browser.driver.execute_async_script(SOCKET, named(server.url, name), viewer)
-            found[urlsplit(place).hostname, name] = outcome
+            outcomes[urlsplit(place).hostname, name] = outcome
     server.close()
-    assert [key for key, outcome in found.items() if outcome == "open"] == [("127.0.0.1", "127.0.0.1")]
-    assert len(found) == 4
+    assert [key for key, outcome in outcomes.items() if outcome == "open"] == [("127.0.0.1", "127.0.0.1")]
+    assert len(outcomes) == 4

@@ -38,13 +38,13 @@ Numbers = dict[tuple[str, frozenset[str]], float]
 
 
 def read(text: bytes) -> Numbers:
-    found = {}
+    samples = {}
     for family in text_string_to_metric_families(text.decode()):
         assert family.type == "gauge"
         assert family.documentation.endswith(".")
         for name, labels, value, *_ in family.samples:
-            found[of(name.removeprefix("twinmatch_"), *filter(None, labels.values()))] = value
-    return found
+            samples[of(name.removeprefix("twinmatch_"), *filter(None, labels.values()))] = value
+    return samples
 
 
 def of(name: str, *values: str) -> tuple[str, frozenset[str]]:
@@ -78,46 +78,50 @@ def state(judged: Judgement) -> DashboardState:
 
 @pytest.fixture
 def server(state: DashboardState) -> Iterator[PageServer]:
-    made = PageServer("127.0.0.1", 0, fill, metrics=lambda: exposition(state, 102.5))
-    yield made
-    assert made.close()
+    opened = PageServer("127.0.0.1", 0, fill, metrics=lambda: exposition(state, 102.5))
+    yield opened
+    assert opened.close()
 
 
 def test_prometheus_reads_what_the_page_knows(server: PageServer, state: DashboardState) -> None:
     with urllib.request.urlopen(f"{server.url}metrics") as answer:
         assert answer.headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
-        found = read(answer.read())
+        exported = read(answer.read())
     verdict = state.verdict
     assert verdict is not None
-    assert found[of("sample_index")] == state.sample
-    assert found[of("sample_age_seconds")] == 2.5
-    assert found[of("verdicts")] == state.tally.verdicts > 1
-    levels = {level: found[of("trust_level", level.value)] for level in TrustLevel}
+    assert exported[of("sample_index")] == state.sample
+    assert exported[of("sample_age_seconds")] == 2.5
+    assert exported[of("verdicts")] == state.tally.verdicts > 1
+    levels = {level: exported[of("trust_level", level.value)] for level in TrustLevel}
     assert levels == {level: float(level is verdict.level) for level in TrustLevel}
-    assert found[of("fault")] == 0.0
-    for horizon, at in (("10", 0.1), ("60", 0.6), ("300", 3.0)):
-        for edge, off in (("mean", 0.0), ("low", -1.0), ("high", 1.0)):
-            assert found[of(f"forecast_{edge}", "temperature", "°C", horizon)] == pytest.approx(
-                45.0 + at + off
+    assert exported[of("fault")] == 0.0
+    for horizon, rise in (("10", 0.1), ("60", 0.6), ("300", 3.0)):
+        for edge, offset in (("mean", 0.0), ("low", -1.0), ("high", 1.0)):
+            assert exported[of(f"forecast_{edge}", "temperature", "°C", horizon)] == pytest.approx(
+                45.0 + rise + offset
             )
-            assert found[of(f"forecast_{edge}", "pwm", "PWM", horizon)] == pytest.approx(20.0 + at + off)
+            assert exported[of(f"forecast_{edge}", "pwm", "PWM", horizon)] == pytest.approx(
+                20.0 + rise + offset
+            )
 
 
 def test_errors_and_coverage_are_those_of_the_leader(state: DashboardState) -> None:
     verdict = state.verdict
-    found = numbers(state)
+    exported = numbers(state)
     assert verdict is not None
     leading = verdict.leading
     assert leading is not None
     errors = {"temperature": verdict.miss_y, "pwm": verdict.miss_u}
-    assert {name: found[of("forecast_error_rms", name)] for name in errors} == errors
-    known = [k for k, share in enumerate(leading.coverage) if not math.isnan(share)]
-    assert known
-    for k in known:
+    assert {name: exported[of("forecast_error_rms", name)] for name in errors} == errors
+    known_horizons = [k for k, share in enumerate(leading.coverage) if not math.isnan(share)]
+    assert known_horizons
+    for k in known_horizons:
         horizon = f"{verdict.horizons[k]:g}"
-        assert found[of("forecast_coverage_ratio", horizon)] == leading.coverage[k]
-        assert found[of("forecast_error_ratio", "persistence", horizon)] == 1.0 - leading.persistence_skill[k]
-        assert found[of("forecast_error_ratio", "arx", horizon)] == 1.0 - leading.arx_skill[k]
+        assert exported[of("forecast_coverage_ratio", horizon)] == leading.coverage[k]
+        assert (
+            exported[of("forecast_error_ratio", "persistence", horizon)] == 1.0 - leading.persistence_skill[k]
+        )
+        assert exported[of("forecast_error_ratio", "arx", horizon)] == 1.0 - leading.arx_skill[k]
 
 
 def test_it_is_trusted_as_far_as_the_verdict_says_and_only_at_its_level(
@@ -132,13 +136,13 @@ def test_a_fault_has_its_kind_and_its_channel_and_ends() -> None:
     state = DashboardState()
     state.push_verdict(replace(LED, level=TrustLevel.FAULT, fault="drive-lost", fault_signal="power"))
     state.push_drive(DriveReport(0.0, math.nan, "too_hot: 121 °C"))
-    found = numbers(state)
-    faults = {labels: value for (name, labels), value in found.items() if name == "fault"}
+    exported = numbers(state)
+    faults = {labels: value for (name, labels), value in exported.items() if name == "fault"}
     assert faults == {
         frozenset({"drive-lost", "power"}): 1.0,
         frozenset({"output held at zero: too hot"}): 1.0,
     }
-    assert found[of("trust_level", "fault")] == 1.0
+    assert exported[of("trust_level", "fault")] == 1.0
     state.push_verdict(replace(LED, sample=301))
     state.push_drive(DriveReport(0.0, math.nan, ""))
     assert numbers(state)[of("fault")] == 0.0
@@ -148,18 +152,18 @@ def test_each_signal_of_several_has_its_own_numbers() -> None:
     state = DashboardState(described=description_of(TCLabBoth))
     state.plant.push(7, [0.0] * 6)
     state.push_forecast(course(7, 40.0, 50.0, 10.0, 20.0, outputs=2))
-    found = numbers(state)
-    for signal, unit, at in (
+    exported = numbers(state)
+    for signal, unit, expected in (
         ("temperature", "°C", 43.0),
         ("second_temperature", "°C", 53.0),
         ("second", "%", 23.0),
     ):
-        assert found[of("forecast_mean", signal, unit, "300")] == pytest.approx(at)
+        assert exported[of("forecast_mean", signal, unit, "300")] == pytest.approx(expected)
 
 
 def test_what_is_not_known_has_no_number() -> None:
-    found = numbers(DashboardState())
-    assert found == {
+    exported = numbers(DashboardState())
+    assert exported == {
         **{of(name): 0.0 for name in ("verdicts", "fault", "trusted_horizon_seconds")},
         **{of("trust_level", level.value): float(level is TrustLevel.UNKNOWN) for level in TrustLevel},
     }
@@ -187,11 +191,11 @@ def test_without_its_library_it_says_what_to_install(
 ) -> None:
     for package in ("prometheus_client", "paho"):
         monkeypatch.setitem(sys.modules, package, None)
-    made = PageServer("127.0.0.1", 0, fill, metrics=lambda: metrics_text(state))
+    opened = PageServer("127.0.0.1", 0, fill, metrics=lambda: metrics_text(state))
     try:
-        status, text = ask(made.url, "/metrics")
+        status, text = ask(opened.url, "/metrics")
     finally:
-        assert made.close()
+        assert opened.close()
     assert status == 404
     assert text == (
         "/metrics needs prometheus_client, which is not installed; pip install 'twinmatch[outlets]'\n"

@@ -70,27 +70,27 @@ class Subscriber:
 
 @pytest.fixture(params=KINDS)
 def broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RunningBroker]:
-    made = RunningBroker(tmp_path / "broker", require(request.param))
-    yield made
-    made.close()
+    running = RunningBroker(tmp_path / "broker", require(request.param))
+    yield running
+    running.close()
 
 
 @contextmanager
 def subscribed(broker: RunningBroker) -> Iterator[Subscriber]:
-    made = Subscriber(broker.url)
+    subscriber = Subscriber(broker.url)
     try:
-        yield made
+        yield subscriber
     finally:
-        made.close()
+        subscriber.close()
 
 
 @contextmanager
 def telling(broker: RunningBroker, rig: str = "") -> Iterator[MqttOutlet]:
-    made = MqttOutlet(broker.url, rig)
+    outlet = MqttOutlet(broker.url, rig)
     try:
-        yield made
+        yield outlet
     finally:
-        made.close()
+        outlet.close()
 
 
 def known(described: Description | None = None, sample: int = 300) -> DashboardState:
@@ -256,17 +256,17 @@ def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_p
 def test_users_certificates_and_what_is_refused(tmp_path: Path, kind: str) -> None:
     secret = tmp_path / "password"
     secret.write_text("s3cret\n")
-    made = RunningBroker(tmp_path / kind, require(kind), users={"twin": "s3cret"}, tls=True)
-    right = f"{made.url.replace('//', '//twin@')}?ca={made.certificate}&password_file={secret}"
+    running = RunningBroker(tmp_path / kind, require(kind), users={"twin": "s3cret"}, tls=True)
+    right = f"{running.url.replace('//', '//twin@')}?ca={running.certificate}&password_file={secret}"
     try:
         MqttOutlet(right).close()
         with pytest.raises(BrokerError, match="does not let us in"):
-            MqttOutlet(f"{made.url}?ca={made.certificate}")
+            MqttOutlet(f"{running.url}?ca={running.certificate}")
         with pytest.raises(BrokerError, match="certificate verify failed"):
-            MqttOutlet(made.url)
+            MqttOutlet(running.url)
     finally:
-        made.close()
-    with pytest.raises(BrokerError, match=f"no MQTT broker at localhost:{made.port}"):
+        running.close()
+    with pytest.raises(BrokerError, match=f"no MQTT broker at localhost:{running.port}"):
         MqttOutlet(right)
 
 
@@ -314,7 +314,9 @@ class Entities:
     """Entities as Home Assistant makes them from what is published: their states and attributes."""
 
     def __init__(self, state: DashboardState) -> None:
-        self.said = {topic: json.loads(said) for topic, said in messages_of(state, "rig", "The rig").items()}
+        self.said = {
+            topic: json.loads(payload) for topic, payload in messages_of(state, "rig", "The rig").items()
+        }
         self.configs = {t.split("/")[2]: c for t, c in self.said.items() if t.startswith("homeassistant/")}
 
     def state(self, name: str) -> str:

@@ -53,8 +53,8 @@ def opened(state: DashboardState, now: float = 0.0) -> tuple[Tab, Document]:
 
 
 def source(document: Document, chart: str, renderer: int = 0) -> ColumnDataSource:
-    found: ColumnDataSource = document.get_model_by_name(chart).renderers[renderer].data_source
-    return found
+    data_source: ColumnDataSource = document.get_model_by_name(chart).renderers[renderer].data_source
+    return data_source
 
 
 @pytest.mark.parametrize("samples", [1, 300, POINTS, POINTS + 1, 12_000, 36_000])
@@ -125,9 +125,11 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         early.update()
     _, second = opened(state)
     for chart, renderer in (("output", 0), *((name, k) for name in ("matrix", "happened") for k in (0, 1))):
-        one = source(first, chart, renderer).data
-        other = source(second, chart, renderer).data
-        assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
+        data_of_first = source(first, chart, renderer).data
+        data_of_second = source(second, chart, renderer).data
+        assert {k: list(v) for k, v in data_of_first.items()} == {
+            k: list(v) for k, v in data_of_second.items()
+        }, chart
     for name in ("first", "reasons", "family", "events", "tiles", "status"):
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
 
@@ -158,7 +160,9 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged:
     verdict = judged.verdicts[-1]
     name = "sink with mass, free ambient, free ripple, sensor lag"
     eight = tuple(replace(verdict.candidates[0], name=f"{name}, {k}") for k in range(8))
-    gaps = tuple(tuple(abs(i - j) / 10 for j in range(8)) for i in range(8))
+    places = np.arange(8.0)
+    distances = np.abs(places[:, None] - places) / 10
+    gaps = tuple(map(tuple, distances.tolist()))
     state = DashboardState()
     state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
     _, document = opened(state)

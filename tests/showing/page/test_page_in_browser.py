@@ -153,8 +153,8 @@ class Graph:
 
 @pytest.fixture(scope="module")
 def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
-    with listening() as made:
-        yield Graph(made.node)
+    with listening() as listener:
+        yield Graph(listener.node)
 
 
 @pytest.fixture(scope="module")
@@ -244,8 +244,10 @@ def test_verdicts_family_and_events_are_shown(graph: Graph, browser: Any, judged
     count = "return deep(document).filter((e) => e.tagName == 'TR').length"
     rows = browser.run(count)
     browser.click("all orders")
-    more = sum(len(c.orders) - 1 for c in last.candidates if c.orders)  # structures are not identified
-    browser.wait_for(lambda: browser.run(count) == rows + more, "a row for every order")
+    rows_of_other_orders = sum(
+        len(c.orders) - 1 for c in last.candidates if c.orders
+    )  # structures are not identified
+    browser.wait_for(lambda: browser.run(count) == rows + rows_of_other_orders, "a row for every order")
     browser.click("all orders")
     assert browser.warnings() == []
 
@@ -254,9 +256,9 @@ def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(bro
     """After the test above: there is a verdict, a family, and everything that belongs to it."""
     for size in browser.sized((1024, 900), (390, 844)):
         browser.wait_for(lambda: browser.run(FITS), "a page that fits")
-        seen = browser.run(ON_SCREEN)
+        on_screen = browser.run(ON_SCREEN)
         for answer in ("leader, the twin", "plant health", "what to do", "closed-loop twin / °C"):
-            assert answer in seen, (answer, size)
+            assert answer in on_screen, (answer, size)
         assert browser.run(FAINT) == [], size
         assert browser.warnings() == [], size
 
@@ -270,9 +272,9 @@ def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(bro
     reached: set[str] = set()
     for _ in range(2 * len(wanted) + 30):
         browser.keys(Keys.TAB)
-        found = browser.run(FOCUSED)
-        reached.add(found)
-        if found == "Help" and "what it means, what to do" not in browser.text:
+        focused = browser.run(FOCUSED)
+        reached.add(focused)
+        if focused == "Help" and "what it means, what to do" not in browser.text:
             browser.keys(Keys.ENTER)
     assert wanted <= reached, wanted - reached
     assert "No twin explains the plant's behaviour." in browser.text
@@ -462,8 +464,8 @@ def test_an_open_tab_comes_back_with_the_server(
     browser.open(address)
     assert first.end() == 0
     browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
-    again = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
-    assert again.url == address
+    restarted = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
+    assert restarted.url == address
     browser.wait_for(lambda: "connection was lost" not in browser.text, "the page")
 
     def shown() -> bool:

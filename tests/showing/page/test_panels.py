@@ -30,42 +30,42 @@ def test_the_figures_are_those_of_the_terminal(judged: Judgement) -> None:
     for verdict in judged.verdicts:
         state = DashboardState()
         state.push_verdict(verdict)
-        told = [*words(panels.reasons(verdict, 1.0)), *words(first_screen(state))]
+        shown_words = [*words(panels.reasons(verdict, 1.0)), *words(first_screen(state))]
         for name, cell in row(verdict, 1.0).items():
             if name == "decided":
                 continue
             if name == "nominal" and verdict.nominal is None:
-                assert "none yet" in told
+                assert "none yet" in shown_words
             else:
-                assert cell in told, name
+                assert cell in shown_words, name
 
 
 def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
     verdict = replace(
         judged.verdicts[-1], fault="fan failed", fault_since=300, certainty="hardly", structure="sink"
     )
-    told = words(panels.reasons(verdict, 1.0))
-    assert "the plant shows fan failed since 300 s" in told
-    assert "hardly" in told
-    assert "structure that the samples justify: sink" in told
+    shown_words = words(panels.reasons(verdict, 1.0))
+    assert "the plant shows fan failed since 300 s" in shown_words
+    assert "hardly" in shown_words
+    assert "structure that the samples justify: sink" in shown_words
 
 
 def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     criteria = computed(last.modelled)
     chosen = panels.family_table(last, every=False)
-    every = panels.family_table(last, every=True)
+    all_orders = panels.family_table(last, every=True)
     for candidate in last.modelled:
         lines = [line for line in criterion_rows(candidate, criteria) if line.output == "total"]
-        assert {cell.text for line in lines for cell in line.cells} <= set(words(every))
+        assert {cell.text for line in lines for cell in line.cells} <= set(words(all_orders))
         assert candidate.name in words(chosen)
         assert f"{candidate.chosen_order} ✓" in words(chosen)
     assert chosen.count("<tr") == 1 + len(last.modelled)
-    assert every.count("<tr") == 1 + sum(len(c.orders) for c in last.modelled)
-    assert every.count('class="best"') > 0
+    assert all_orders.count("<tr") == 1 + sum(len(c.orders) for c in last.modelled)
+    assert all_orders.count('class="best"') > 0
     assert words(chosen).count("nominal") == 1
     driven = replace(last, candidates=tuple(_without_input(c) for c in last.modelled))
-    assert panels.family_table(driven, every=True).count("<tr") == every.count("<tr")
+    assert panels.family_table(driven, every=True).count("<tr") == all_orders.count("<tr")
 
 
 def _without_input(candidate: CandidateScore) -> CandidateScore:
@@ -167,15 +167,15 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
     assert any("playing: 13.0 s of 13.0 s" in w for w in words(panels.status(state, 101.0)))
     state.push_health("player", 0, "ended: all 13 messages were taken", {**player, "ended": "True"}, 101.0)
     state.push_health("matcher", 1, "no sample for 6 s", {}, 106.0)
-    for now in (107.0, 400.0):
-        state.nodes.expire(now)
-        assert words(panels.status(state, now)) == [
+    for time in (107.0, 400.0):
+        state.nodes.expire(time)
+        assert words(panels.status(state, time)) == [
             "sample 12, 12 s",
             "the replay has ended: 13.0 s of 13.0 s",
         ]
-        told = " ".join(words(panels.nodes(state.nodes, now)))
-        assert told.count("has ended with the replay") == 2
-        assert "no sample" not in told
+        shown_text = " ".join(words(panels.nodes(state.nodes, time)))
+        assert shown_text.count("has ended with the replay") == 2
+        assert "no sample" not in shown_text
         assert "the replay has ended" in what_to_do(state)
     state.push_health("matcher", 2, "trouble", {}, 401.0)  # an error is its own all the same
     assert "1 of 2 nodes need attention" in words(panels.status(state, 401.0))

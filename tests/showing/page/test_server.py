@@ -26,10 +26,10 @@ def fill(document: Document) -> None:
 
 @pytest.fixture
 def server() -> Iterator[PageServer]:
-    made = PageServer("127.0.0.1", 0, fill)
-    yield made
-    assert made.close()
-    assert made.failure is None
+    opened = PageServer("127.0.0.1", 0, fill)
+    yield opened
+    assert opened.close()
+    assert opened.failure is None
 
 
 def test_the_page_and_all_it_loads_come_from_here(server: PageServer) -> None:
@@ -53,17 +53,17 @@ def test_it_listens_on_this_machine_only(server: PageServer) -> None:
 )
 def test_pages_of_other_sites_may_not_speak_to_it(server: PageServer, origin: str, let_in: bool) -> None:
     asked = f"Origin: {server.url.rstrip('/') if origin == 'OWN' else origin}"
-    own = f"Sec-WebSocket-Protocol: bokeh, {page_token(server.url)}"
-    assert ask(server.url, "/ws", *UPGRADE, own, asked)[0] == (101 if let_in else 403)
+    protocol = f"Sec-WebSocket-Protocol: bokeh, {page_token(server.url)}"
+    assert ask(server.url, "/ws", *UPGRADE, protocol, asked)[0] == (101 if let_in else 403)
 
 
 def test_a_websocket_needs_the_token_of_a_page_that_was_loaded(server: PageServer) -> None:
     good = page_token(server.url)
     base, signature = good.split(".", 1)
     forged = base64.urlsafe_b64encode(b'{"session_id": "x", "session_expiry": 99999999999}').decode()
-    for given in ("", "x", "é", f"{base}.x", f"{forged}.{signature}", forged, f"{good},{good}"):
-        status, why = ask(server.url, "/ws", *UPGRADE, f"Sec-WebSocket-Protocol: bokeh, {given}")
-        assert (status, "needs the token" in why) == (403, True), given
+    for token in ("", "x", "é", f"{base}.x", f"{forged}.{signature}", forged, f"{good},{good}"):
+        status, why = ask(server.url, "/ws", *UPGRADE, f"Sec-WebSocket-Protocol: bokeh, {token}")
+        assert (status, "needs the token" in why) == (403, True), token
     assert ask(server.url, "/ws", *UPGRADE)[0] == 403
     assert ask(server.url, "/ws", *UPGRADE, f"Sec-WebSocket-Protocol: bokeh, {good}")[0] == 101
 
@@ -119,8 +119,8 @@ def test_a_port_that_is_taken_is_one_clear_line(server: PageServer) -> None:
 @pytest.mark.parametrize(
     ("address", "loopback"),
     [
-        *((one, True) for one in ("127.0.0.1", "localhost", "::1")),
-        *((one, False) for one in ("0.0.0.0", "192.0.2.1", "rig")),
+        *((address, True) for address in ("127.0.0.1", "localhost", "::1")),
+        *((address, False) for address in ("0.0.0.0", "192.0.2.1", "rig")),
     ],
 )
 def test_which_addresses_are_this_machines_own(address: str, loopback: bool) -> None:

@@ -29,8 +29,8 @@ return ['output', 'output_2', 'control_2'].map((name) => {
 def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
     page_process: Callable[..., Any], browser: Any, two: Judgement
 ) -> None:
-    with listening() as made:
-        graph = Graph(made.node)
+    with listening() as listener:
+        graph = Graph(listener.node)
         started = page_process()
         browser.open(started.url)
         for name in ("plant/sample", "twin/state", "twin/model_score", "plant/estimate"):
@@ -40,11 +40,11 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
         graph.session(two.samples[-200:], two)
         (course,) = two.estimates
         last = two.samples[-1]
-        rest = {"since": course.first, "wide": course.wide, "good": course.good}
-        estimate = EstimatedReading(last.index, course.signal, 31.8, 0.4, 36.8, **rest)
+        course_fields = {"since": course.first, "wide": course.wide, "good": course.good}
+        estimate = EstimatedReading(last.index, course.signal, 31.8, 0.4, 36.8, **course_fields)
         graph.publish("plant/estimate", message_of(estimate, last.stamp))
-        said = "the twin reads through temperature T2: 31.8 ± 0.4 °C instead of 36.8, to ± 1.2 good for"
-        browser.wait_for(lambda: said in browser.text, "what it should read")
+        sentence = "the twin reads through temperature T2: 31.8 ± 0.4 °C instead of 36.8, to ± 1.2 good for"
+        browser.wait_for(lambda: sentence in browser.text, "what it should read")
         browser.wait_for(lambda: "sensor drift of temperature T2" in browser.text, "the fault")
         browser.wait_for(lambda: browser.column("output_2", 0, "t")[-1:] == [last.index], "the last point")
         assert browser.column("output_2", 0, "output_2")[-1] == last.outputs[1]

@@ -44,8 +44,8 @@ def state(two: Judgement) -> DashboardState:
         state.push_verdict(verdict)
     (course,) = two.estimates
     last = {"value": course.values[-1], "band": course.bands[-1], "reading": course.readings[-1]}
-    rest = {"since": course.first, "wide": course.wide, "good": course.good}
-    state.push_estimate(EstimatedReading(course.last, course.signal, **last, **rest))
+    course_fields = {"since": course.first, "wide": course.wide, "good": course.good}
+    state.push_estimate(EstimatedReading(course.last, course.signal, **last, **course_fields))
     update_sentence(state, two.settings)
     return state
 
@@ -69,24 +69,24 @@ def test_every_signal_is_drawn_in_a_column_of_its_own(document: Document, two: J
             s.inputs[k] for s in shown
         ]
         twin = source(document, f"residual{ending}").data
-        off = (
+        difference = (
             twin[f"driven_residual_y{ending}"]
             - [s.outputs[k] for s in shown]
             + twin[f"driven_output{ending}"]
         )
-        assert np.abs(off).max() < 1e-9
+        assert np.abs(difference).max() < 1e-9
         assert (twin[f"driven_rms_y{ending}_high"] == 2.0 * twin[f"driven_rms_y{ending}"]).all()
 
 
 def test_each_forecast_is_drawn_on_its_signals_charts(state: DashboardState) -> None:
     time = np.arange(1.0, 61.0)
-    at = state.sample
-    assert at is not None
+    made_at_sample = state.sample
+    assert made_at_sample is not None
     signals = [Band(np.full(60, float(k)), np.full(60, k - 1.0), np.full(60, k + 1.0)) for k in range(4)]
     asked = np.tile([50.0, 40.0], (60, 1))
     outputs = tuple(signals[:2])
     inputs = tuple(signals[2:])
-    state.push_forecast(Forecast(at, "twin", "", 0.9, time, asked, outputs, inputs))
+    state.push_forecast(Forecast(made_at_sample, "twin", "", 0.9, time, asked, outputs, inputs))
     _, document = opened(state)
     for k, ending in enumerate(("", "_2")):
         drawn = [r.data_source.data for r in document.get_model_by_name(f"output{ending}").renderers]
@@ -104,8 +104,8 @@ def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     first = panels.first_screen(state)
     tiles = panels.tiles(state)
     (course,) = two.estimates
-    said = f"the twin reads through {T2}: {course.values[-1]:.1f} ± {course.bands[-1]:.1f} °C"
-    assert said in first
+    reading_sentence = f"the twin reads through {T2}: {course.values[-1]:.1f} ± {course.bands[-1]:.1f} °C"
+    assert reading_sentence in first
     assert f"sensor drift of {T2}" in first
     for words in (f"set-point of {T1} / °C", f"{T1} / °C", f"{T2} / °C", "plant&#x27;s heater 2 / %"):
         assert words in tiles

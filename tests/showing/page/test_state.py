@@ -65,8 +65,9 @@ def test_clear_starts_over() -> None:
 
 def test_a_spike_of_one_sample_stays_as_high_as_it_was() -> None:
     history = RollingTable(("value",), 5000)
+    spikes = {1234: 100.0, 2345: -7.0}
     for k in range(4000):
-        history.push(k, (100.0 if k == 1234 else -7.0 if k == 2345 else 0.0,))
+        history.push(k, (spikes.get(k, 0.0),))
     columns, _ = history.since(0, stride=50)
     assert columns["value"].size == 160
     assert columns["value"].max() == 100.0
@@ -92,17 +93,17 @@ def test_reading_piece_by_piece_is_reading_all(pushes: list[int], stride: int, c
     """A reader that looks before rows are forgotten sees every group once, in order."""
     history = RollingTable(("value",), capacity)
     row = 0
-    seen = []
+    indices_read = []
     total = 0
     for number in pushes:
         for _ in range(number):
             history.push(total, (float(total % 11),))
             total += 1
         columns, row = history.since(row, stride)
-        seen += columns["index"].tolist()
+        indices_read += columns["index"].tolist()
     per_group = 1 if stride == 1 else 2
-    assert len(seen) == total // stride * per_group
-    starts = seen[::per_group]
+    assert len(indices_read) == total // stride * per_group
+    starts = indices_read[::per_group]
     assert starts == [float(k * stride) for k in range(total // stride)]
 
 
@@ -174,9 +175,9 @@ def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None
     state = DashboardState()
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
-    told = {(e.sample, e.title, e.why) for e in state.events}
+    event_words = {(e.sample, e.title, e.why) for e in state.events}
     expected = events(judged.verdicts)
-    assert told == {(e.sample, e.title, e.why) for e in expected}
+    assert event_words == {(e.sample, e.title, e.why) for e in expected}
     assert len(state.events) == len(expected)
     assert tuple(state.tally.stretches) == judged.summary.stretches
 
@@ -201,8 +202,8 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
     hot = "over_temperature: 111 °C is above 110 °C"
     for fault in ("", hot, hot, "", "limited: hotter than it reads", ""):
         state.push_drive(DriveReport(0.0, math.nan, fault))
-    told = [(e.sample, e.title, e.why) for e in state.events]
-    assert told == [
+    event_words = [(e.sample, e.title, e.why) for e in state.events]
+    assert event_words == [
         (41, "output held at zero: over temperature", "111 °C is above 110 °C"),
         (41, "fault cleared", "the output may be driven"),
         (41, "output limited", "hotter than it reads"),
@@ -215,11 +216,11 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
 def test_a_fault_is_dated_by_its_stamp_whatever_was_received_before_it(heard: int) -> None:
     state = DashboardState()
     samples = [sample(k, 0.5) for k in range(3, 8)]
-    for one in samples[:heard]:
-        state.push_sample(one, 0.0)
+    for pushed in samples[:heard]:
+        state.push_sample(pushed, 0.0)
     state.push_drive(DriveReport(0.0, math.nan, "stopped: as asked", samples[1].stamp + 125_000_000))
-    for one in samples[heard:]:
-        state.push_sample(one, 0.0)
+    for pushed in samples[heard:]:
+        state.push_sample(pushed, 0.0)
     assert [event.time(0.5) for event in state.events] == [2.125]
 
 
@@ -257,8 +258,8 @@ def test_an_image_without_values_leaves_the_one_before() -> None:
 def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
     """Samples, twins, verdicts, matches, faults, warnings and images, beyond what is kept of each."""
     assert CAPACITY == 3600 * 10  # an hour at 10 Hz
-    kept = 5_000
-    state = DashboardState(kept)
+    capacity = 5_000
+    state = DashboardState(capacity)
     images = [np.full((60, 80), float(k), dtype=np.float32) for k in range(2)]
 
     def feed(first: int, number: int) -> None:
@@ -275,15 +276,15 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
                 )
                 state.push_image(images[k // 20 % 2])
 
-    feed(0, kept)
+    feed(0, capacity)
     tracemalloc.start()
-    feed(kept, kept)  # whatever is kept has been replaced by what is counted
+    feed(capacity, capacity)  # whatever is kept has been replaced by what is counted
     settled = tracemalloc.get_traced_memory()[0]
-    feed(2 * kept, kept)
+    feed(2 * capacity, capacity)
     grown = tracemalloc.get_traced_memory()[0] - settled
     tracemalloc.stop()
     assert grown < 100_000, f"{grown} bytes more"
-    assert len(state.plant.since(0)[0]["index"]) == kept
+    assert len(state.plant.since(0)[0]["index"]) == capacity
     assert len(state.events) == EVENTS
     assert len(state.tally.stretches) == MAX_STRETCHES
 

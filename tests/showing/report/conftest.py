@@ -81,14 +81,14 @@ def grid(table: Element) -> list[list[Element]]:
     spans: dict[int, tuple[Element, int]] = {}
     for row in next(table.all("tbody")).all("tr"):
         cells: list[Element] = []
-        own = [c for c in row.children if isinstance(c, Element)]
-        while own or len(cells) in spans:
+        row_cells = [c for c in row.children if isinstance(c, Element)]
+        while row_cells or len(cells) in spans:
             place = len(cells)
             if place in spans and spans[place][1]:
-                cell, left = spans[place]
-                spans[place] = (cell, left - 1)
-            elif own:
-                cell = own.pop(0)
+                cell, rows_left = spans[place]
+                spans[place] = (cell, rows_left - 1)
+            elif row_cells:
+                cell = row_cells.pop(0)
                 spans[place] = (cell, int(cell.attributes.get("rowspan", "1")) - 1)
             else:
                 break

@@ -21,10 +21,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Written with its figures beside it."""
     folder = tmp_path_factory.mktemp("report")
     session = write_session(folder / "quarter", quarter_of_an_hour()[:400])
-    done = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("Leader: ")
-    assert "report: quarter.html" in done.stdout
+    completed = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
+    assert completed.returncode == 0, completed.stderr
+    assert completed.stdout.startswith("Leader: ")
+    assert "report: quarter.html" in completed.stdout
     return folder / "quarter.html"
 
 

@@ -51,12 +51,12 @@ def test_a_session_with_verdicts_is_judged_once_with_its_parameters_and_they_agr
 
     folder = record()
     monkeypatch.setattr(Twin, "push", counted)
-    found = judge_for_report(folder)
-    assert found.judgement.settings.decimals == 1
-    assert found.identical is True
-    assert "the same, bit for bit" in found.recorded
-    assert found.parameters == "those recorded with the session"
-    assert pushed == [sample.index for sample in found.session.samples]
+    judged_session = judge_for_report(folder)
+    assert judged_session.judgement.settings.decimals == 1
+    assert judged_session.identical is True
+    assert "the same, bit for bit" in judged_session.recorded
+    assert judged_session.parameters == "those recorded with the session"
+    assert pushed == [sample.index for sample in judged_session.session.samples]
 
 
 def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Callable[..., Path]) -> None:

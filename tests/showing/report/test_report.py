@@ -133,18 +133,22 @@ def test_criterion_tables_hold_the_verdict_and_the_best_is_bold(
                     assert ("best" in cell.classes) is (value == best)
 
 
+def texts_of(row: list[Element]) -> list[str]:
+    return [cell.text for cell in row]
+
+
 def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: SessionReport) -> None:
     tested = shipped.judged.tested
     tables = tables_of(page)
     for horizon in tested.horizons:
-        held = [card for card in tested.cards if card.horizon == horizon]
-        rows = grid(tables[f"{horizon:g} s ahead, {held[0].count} forecasts"])
-        assert [[cell.text for cell in row] for row in rows] == [
-            [text(c) for _, text in card_columns(Peltier)] for c in held
-        ]
+        cards = [card for card in tested.cards if card.horizon == horizon]
+        rows = grid(tables[f"{horizon:g} s ahead, {cards[0].count} forecasts"])
+        for row, card in zip(rows, cards, strict=True):
+            assert texts_of(row) == [text(card) for _, text in card_columns(Peltier)]
         best = [row[0].text for row in rows if "best" in row[1].classes]
-        asked = [c for c in held if c.who == LEADER or c.who not in TWINS]
-        assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
+        asked = [c for c in cards if c.who == LEADER or c.who not in TWINS]
+        least = min(card.median for card in asked)
+        assert best == [card.who for card in asked if card.median == least]
     for line in backtest_words(tested):
         assert line in page.text
 
@@ -165,8 +169,8 @@ def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Ses
         assert float(row[5].text) == pytest.approx(
             np.sqrt(np.mean((came - forecast.output.mean) ** 2)), abs=5.1e-3
         )
-        held = (forecast.output.low <= came) & (came <= forecast.output.high)
-        assert row[6].text == f"{100 * held.mean():.0f} %"
+        is_in_band = (forecast.output.low <= came) & (came <= forecast.output.high)
+        assert row[6].text == f"{100 * is_in_band.mean():.0f} %"
     assert "leader_forecasts" in shipped.pictures
 
 
@@ -176,26 +180,24 @@ def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
     verdict = shipped.judged.judgement.verdicts[-1]
     sums = [c.nu_gap_sum for c in verdict.candidates]
     identified = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
-    for between, gaps, known in (
+    for between, gaps, expected_sums in (
         ("plants", verdict.nu_gap, sums),
         (f"models of order {verdict.order}", verdict.identified_gap, identified),
     ):
         rows = grid(tables_of(page)[f"ν-gap between the {between}"])
         count = len(gaps)
-        shown = np.array([[float(c.text) for c in row[1 : count + 2]] for row in rows])
-        np.testing.assert_allclose(shown, np.column_stack([gaps, known]), atol=5.1e-4)
+        shown = np.array([texts_of(row[1 : count + 2]) for row in rows], dtype=float)
+        np.testing.assert_allclose(shown, np.column_stack([gaps, expected_sums]), atol=5.1e-4)
         bold = [k for k, row in enumerate(rows) if "best" in row[count + 1].classes]
-        assert bold == [int(np.argmin(known))]
+        assert bold == [int(np.argmin(expected_sums))]
 
 
 def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: SessionReport) -> None:
     nominal = shipped.nominal
     assert nominal is not None
     assert nominal.match is not None
-    rows = {
-        r[0].text: [c.text for c in r]
-        for r in grid(tables_of(page)[f"Parameters of the nominal twin, {nominal.score.name}"])
-    }
+    table = tables_of(page)[f"Parameters of the nominal twin, {nominal.score.name}"]
+    rows = {row[0].text: texts_of(row) for row in grid(table)}
     p = nominal.score.parameters
     assert rows["α"][2:4] == [f"{1000 * p['seebeck']:.1f}", "mV/K"]
     assert rows["R"][2:4] == ["3.30", "Ω"]
@@ -257,8 +259,8 @@ def test_a_parameter_that_is_not_the_default_is_marked() -> None:
 def test_a_library_without_metadata_has_no_known_version(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be used from a folder; the report is made all the same."""
     monkeypatch.setattr("twinmatch.showing.report.report._LIBRARIES", ("numpy", "no-such-library"))
-    found = dict(provenance(SHIPPED, TwinSettings(), "", datetime.now(timezone.utc)).versions)
-    assert (found["numpy"], found["no-such-library"]) == (np.__version__, "version unknown")
+    versions = dict(provenance(SHIPPED, TwinSettings(), "", datetime.now(timezone.utc)).versions)
+    assert (versions["numpy"], versions["no-such-library"]) == (np.__version__, "version unknown")
 
 
 def test_figures_are_written_as_pictures_too(shipped: SessionReport, tmp_path: Path) -> None:
@@ -318,11 +320,11 @@ def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> No
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
     report = make_report(tmp_path / "odd")
     document = parse(report.html())
-    told = [v for v in report.judged.judgement.verdicts if v.match]
-    assert told
-    assert not any(v.match == ADMITTED for v in told)
+    matched_verdicts = [v for v in report.judged.judgement.verdicts if v.match]
+    assert matched_verdicts
+    assert not any(v.match == ADMITTED for v in matched_verdicts)
     assert "match refused" in tables_of(document)["What happened"].text
-    assert f"of {len(told)} match" in next(document.all("main")).text
+    assert f"of {len(matched_verdicts)} match" in next(document.all("main")).text
     assert "indices step from" in next(document.all("main")).text
 
 
@@ -336,8 +338,8 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
     judged = judge_for_report(path)
     assert judged.judgement.summary.nominal is not None
     assert "has no recorded verdicts" in judged.recorded
-    made = provenance(path, judged.judgement.settings, "", datetime.now(timezone.utc))
-    assert [f.name for f in made.files] == ["bench.csv"]
+    origin = provenance(path, judged.judgement.settings, "", datetime.now(timezone.utc))
+    assert [f.name for f in origin.files] == ["bench.csv"]
 
 
 def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path: Path) -> None:

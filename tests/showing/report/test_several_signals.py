@@ -94,8 +94,8 @@ def test_a_sensor_that_is_read_through_is_said_and_drawn(document: Element, two:
     assert f"The twin reads through {T2} from {course.first} to {course.last} s" in document.text
     assert f"fault: sensor-drift of {T2}" in document.text
     assert f"The plant had a fault (sensor-drift of {T2}): t = 1500 to" in document.text
-    off = [value - (reading - 5.0) for value, reading in zip(course.values, course.readings, strict=True)]
-    assert max(map(abs, off)) < 2.5  # the sensor that lies is 5 °C off
+    errors = [value - (reading - 5.0) for value, reading in zip(course.values, course.readings, strict=True)]
+    assert max(map(abs, errors)) < 2.5  # the sensor that lies is 5 °C off
 
 
 def test_in_a_known_loop_its_commands_are_shown_likewise() -> None:
@@ -108,16 +108,25 @@ def test_in_a_known_loop_its_commands_are_shown_likewise() -> None:
     assert [axes.get_ylabel().split("\n")[0] for axes in health.axes[1:-1]] == four
     session = draw_session(judged.samples, judged.verdicts, judged.settings)
     labels = [axes.get_ylabel() for axes in session.axes]
-    off = ["plant − twin / °C", "plant − twin / %"]
-    assert labels == ["first / °C", "first power / %", *off, "second / °C", "second power / %", *off]
+    difference_labels = ["plant − twin / °C", "plant − twin / %"]
+    assert labels == [
+        "first / °C",
+        "first power / %",
+        *difference_labels,
+        "second / °C",
+        "second power / %",
+        *difference_labels,
+    ]
     facts = dict(session_facts(judged))
     fits = judged.summary.fits
     assert fits is not None
     for name, share in zip(four, (*fits.outputs, *fits.inputs), strict=True):
-        (said,) = (
-            fact for of, fact in facts.items() if of.startswith("closed-loop") and of.endswith(f", {name}")
+        (fit_text,) = (
+            fact
+            for title, fact in facts.items()
+            if title.startswith("closed-loop") and title.endswith(f", {name}")
         )
-        assert said.startswith(f"fit {percent(share)} %")
+        assert fit_text.startswith(f"fit {percent(share)} %")
     assert {"set-point of first", "set-point of second"} <= set(facts)
     words = " ".join(plain_words(judged))
     assert "was controlled to set-points from" in words

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.rig import rig
-from twinmatch.comparing import Verdict
+from twinmatch.comparing import CandidateScore, Verdict
 from twinmatch.showing.report.report import SessionReport
 from twinmatch.showing.report.tables import gap_table, match_table, nominal_table, order_table
 from twinmatch.showing.report.words import duration
@@ -22,39 +22,45 @@ def verdict_of(report: SessionReport) -> Verdict:
     return report.judged.judgement.verdicts[-1]
 
 
+def silent_candidate(candidate: CandidateScore) -> CandidateScore:
+    orders = [replace(order, weight=math.nan, aic_difference=math.nan) for order in candidate.orders]
+    return replace(
+        candidate,
+        margin=None,
+        plant_gap_to_nominal=None,
+        nu_gap_sum_low=math.nan,
+        nu_gap_sum_high=math.nan,
+        nominal_probability=math.nan,
+        orders=tuple(orders),
+    )
+
+
 def silent(verdict: Verdict) -> Verdict:
     """The verdict with nothing said of how sure it is."""
-    candidates = tuple(
-        replace(
-            c,
-            margin=None,
-            plant_gap_to_nominal=None,
-            nu_gap_sum_low=math.nan,
-            nu_gap_sum_high=math.nan,
-            nominal_probability=math.nan,
-            orders=tuple(replace(o, weight=math.nan, aic_difference=math.nan) for o in c.orders),
-        )
-        for c in verdict.candidates
-    )
+    candidates = tuple(map(silent_candidate, verdict.candidates))
     return replace(verdict, candidates=candidates, certainty="", structure="", structure_parameters=None)
 
 
-def telling(verdict: Verdict) -> Verdict:
-    candidates = tuple(
-        replace(
-            c,
-            margin=0.31 + 0.01 * k,
-            plant_gap_to_nominal=0.05 * k,
-            nu_gap_sum_low=c.nu_gap_sum / 2,
-            nu_gap_sum_high=c.nu_gap_sum + 0.2,
-            nominal_probability=0.25,
-            orders=tuple(
-                replace(o, weight=w, aic_difference=d)
-                for o, w, d in zip(c.orders, (0.7, 0.2, 0.1, 0.0), (0.0, 2.5, 3.9, 40.0), strict=True)
-            ),
-        )
-        for k, c in enumerate(verdict.modelled)
+def telling_candidate(candidate: CandidateScore, number: int) -> CandidateScore:
+    weights = (0.7, 0.2, 0.1, 0.0)
+    differences = (0.0, 2.5, 3.9, 40.0)
+    orders = [
+        replace(order, weight=weight, aic_difference=difference)
+        for order, weight, difference in zip(candidate.orders, weights, differences, strict=True)
+    ]
+    return replace(
+        candidate,
+        margin=0.31 + 0.01 * number,
+        plant_gap_to_nominal=0.05 * number,
+        nu_gap_sum_low=candidate.nu_gap_sum / 2,
+        nu_gap_sum_high=candidate.nu_gap_sum + 0.2,
+        nominal_probability=0.25,
+        orders=tuple(orders),
     )
+
+
+def telling(verdict: Verdict) -> Verdict:
+    candidates = tuple(telling_candidate(c, number) for number, c in enumerate(verdict.modelled))
     return replace(
         verdict,
         candidates=candidates,
@@ -88,8 +94,8 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> No
 
 def test_the_page_shows_it_too(shipped: SessionReport) -> None:
     judgement = shipped.judged.judgement
-    told = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
-    text = replace(shipped, judged=replace(shipped.judged, judgement=told)).html()
+    telling_judgement = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
+    text = replace(shipped, judged=replace(shipped.judged, judgement=telling_judgement)).html()
     document = parse(text)
     assert "The choice is certain." in text
     rows = {

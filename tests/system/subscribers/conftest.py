@@ -65,10 +65,10 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it. Our own nodes
     find the equations that were prepared here: deriving them again takes a minute.
     """
-    kept = ["PATH", "LANG"]
+    inherited_names = ["PATH", "LANG"]
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
-        kept += ["PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "ROS_DISTRO"]
-    environment = {name: os.environ[name] for name in kept if name in os.environ}
+        inherited_names += ["PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "ROS_DISTRO"]
+    environment = {name: os.environ[name] for name in inherited_names if name in os.environ}
     home = tmp_path_factory.mktemp("home")
     prepared = {"TWINMATCH_CACHE": str(cache_folder()), "OMP_NUM_THREADS": "1"}
     return {**environment, **prepared, "HOME": str(home), "ROS_DOMAIN_ID": str(domain())}
@@ -77,9 +77,9 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 @pytest.fixture
 def programs(tmp_path: Path, stranger: dict[str, str]) -> Iterator[Programs]:
     """Programs that end with the test."""
-    made = Programs(tmp_path, stranger)
-    yield made
-    made.end()
+    started = Programs(tmp_path, stranger)
+    yield started
+    started.end()
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,9 @@ def lasting_programs(
     tmp_path_factory: pytest.TempPathFactory, stranger: dict[str, str]
 ) -> Iterator[Programs]:
     """Programs that end with the module."""
-    made = Programs(tmp_path_factory.mktemp("programs"), stranger)
-    yield made
-    made.end()
+    started = Programs(tmp_path_factory.mktemp("programs"), stranger)
+    yield started
+    started.end()
 
 
 @pytest.fixture(scope="session")
@@ -108,6 +108,6 @@ def project() -> Path:
 @pytest.fixture(scope="session")
 def bare_python() -> str:
     """A Python outside every environment."""
-    found = getattr(sys, "_base_executable", None) or shutil.which("python3")
-    assert found
-    return found
+    interpreter = getattr(sys, "_base_executable", None) or shutil.which("python3")
+    assert interpreter
+    return interpreter

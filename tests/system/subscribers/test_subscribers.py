@@ -192,8 +192,8 @@ def test_two_variables_keep_a_stranger_in(played: Played) -> None:
 def test_shell_lines_are_of_those(stranger: dict[str, str]) -> None:
     """And the place of the wheels, for tools that look for packages."""
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
-    done = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
-    words = [shlex.split(line) for line in done.stdout.splitlines()]
+    completed = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
+    words = [shlex.split(line) for line in completed.stdout.splitlines()]
     lines = dict(word.split("=", 1) for _, word in words)
     lines.pop("AMENT_PREFIX_PATH", None)
     assert {word for word, _ in words} == {"export"}
@@ -209,10 +209,10 @@ def test_shell_lines_unset_what_would_lead_elsewhere() -> None:
 def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> None:
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
     environment = {**stranger, "TWINMATCH_NETWORK": "wide"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "use 'loopback' (the default) or 'open'" in done.stderr
-    assert done.stdout == ""
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert completed.returncode == 2
+    assert "use 'loopback' (the default) or 'open'" in completed.stderr
+    assert completed.stdout == ""
 
 
 @needs_cyclone
@@ -249,8 +249,8 @@ def test_the_pages_verdicts_nominal_forecasts_and_what_if(
     verdicts = played.programs["verdicts"]
     verdicts.said("sample 600: trusted, 70 °C")
     last = read_session(session).samples[-1].index
-    told = rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
-    played.programs["forecasts"].said(told)
+    forecast_line = rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
+    played.programs["forecasts"].said(forecast_line)
     nominal = programs.start(page / "nominal.py")
     late = programs.start(page / "what_if.py", **KEPT_IN)
     nominal.said(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$")
@@ -289,8 +289,8 @@ def table_of_topics() -> dict[str, tuple[str, str, bool]]:
 
 def test_table_of_topics(played: Played) -> None:
     table = table_of_topics()
-    found = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
-    for name, (kind, reliability, durability) in found.items():
+    topics = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
+    for name, (kind, reliability, durability) in topics.items():
         shown = (kind, reliability.lower().replace("_", " "), durability == "TRANSIENT_LOCAL")
         assert shown == table[name], name
     for kind, *_ in table.values():
@@ -326,14 +326,14 @@ def test_rigs_do_not_mix(programs: Any, page: Path, session: Path, tmp_path: Pat
     players = []
     for rig, length in LENGTHS.items():
         part = write_session(tmp_path / rig, read_session(session).samples[:length])
-        given = (
+        options = (
             "-r",
             f"__ns:=/rig_{rig}",
             "-p",
             "clock:=false",
             *((*TWIN, "-p", "wait_for:=3") if rig == "a" else ()),
         )
-        players.append(start_player(programs, part, *given))
+        players.append(start_player(programs, part, *options))
     for player in players:
         assert player.wait() == 0, player.text
     for rig, length in LENGTHS.items():

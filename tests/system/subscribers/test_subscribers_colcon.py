@@ -46,8 +46,8 @@ def installed(project: Path, stranger: dict[str, str]) -> Path:
             shutil.copytree(messages, folder / "twinmatch_msgs", ignore=IGNORED)
             build(folder, stranger, "twinmatch_msgs")
             stamp.write_text(key)
-        for made in ("twinmatch", "build/twinmatch", "install/twinmatch"):
-            shutil.rmtree(folder / made, ignore_errors=True)
+        for earlier in ("twinmatch", "build/twinmatch", "install/twinmatch"):
+            shutil.rmtree(folder / earlier, ignore_errors=True)
         (folder / "twinmatch").mkdir()
         for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
             shutil.copy(project / name, folder / "twinmatch")
@@ -77,10 +77,10 @@ def build(folder: Path, stranger: dict[str, str], package: str) -> None:
     }
     # Graphs that run at real time beside it need the processors more.
     command = ["nice", "-n", "10", "colcon", "build", "--paths", package, "--cmake-args", *cmake]
-    done = subprocess.run(
+    completed = subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=1800
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert completed.returncode == 0, completed.stdout + completed.stderr
 
 
 def start(programs: Any, installed: Path, *command: object) -> Any:

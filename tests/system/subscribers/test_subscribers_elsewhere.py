@@ -22,10 +22,10 @@ OPTIONS = ("--quiet", "--disable-pip-version-check", "--prefer-binary", "--progr
 
 def run(command: list[str], environment: dict[str, str]) -> None:
     """Run a step of the preparation; the test fails with the step's own words, or skips without a network."""
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode != 0 and any(words in done.stderr for words in NO_NETWORK):
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if completed.returncode != 0 and any(words in completed.stderr for words in NO_NETWORK):
         pytest.skip("no network to install the ROS wheels from")
-    assert done.returncode == 0, done.stderr
+    assert completed.returncode == 0, completed.stderr
 
 
 def wheel_of(sources: Path, built: Path, folder: Path, environment: dict[str, str]) -> Path:
@@ -70,10 +70,10 @@ def other_python(
 
 def test_no_twinmatch_over_there(other_python: str, stranger: dict[str, str]) -> None:
     code = "import importlib.util, twinmatch_msgs.msg; print(importlib.util.find_spec('twinmatch'))"
-    done = subprocess.run(
+    completed = subprocess.run(
         [other_python, "-c", code], env=stranger, capture_output=True, text=True, check=True
     )
-    assert done.stdout == "None\n"
+    assert completed.stdout == "None\n"
 
 
 def test_environment_of_a_running_node_has_to_be_stripped(
@@ -82,9 +82,9 @@ def test_environment_of_a_running_node_has_to_be_stripped(
     """What the wheels of one environment set for its Python makes that of another fail to find its own."""
     inherited = {**stranger, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": ""}
     command = [other_python, "-c", "import rclpy; rclpy.init()"]
-    done = subprocess.run(command, env=inherited, capture_output=True, text=True, check=False)
-    assert done.returncode != 0
-    assert "cannot open shared object file" in done.stderr
+    completed = subprocess.run(command, env=inherited, capture_output=True, text=True, check=False)
+    assert completed.returncode != 0
+    assert "cannot open shared object file" in completed.stderr
 
 
 def test_it_reads_the_verdicts(

@@ -23,9 +23,9 @@ def namespaces() -> None:
     if shutil.which("ip") is None or shutil.which("unshare") is None:
         pytest.skip("no ip or no unshare here: apt-get install iproute2 util-linux")
     probe = "mount -t tmpfs tmpfs /dev/shm && ip link add here type veth peer name there"
-    done = subprocess.run([*UNSHARE, "sh", "-c", probe], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        pytest.skip(f"no network namespaces here: {done.stderr.strip()}")
+    completed = subprocess.run([*UNSHARE, "sh", "-c", probe], capture_output=True, text=True, check=False)
+    if completed.returncode != 0:
+        pytest.skip(f"no network namespaces here: {completed.stderr.strip()}")
 
 
 @pytest.mark.parametrize(("network", "seconds"), [("loopback", 5), ("open", 60)])
@@ -35,7 +35,7 @@ def test_reader_on_another_machine(
     """An open network takes a second or two; five are what a closed one is watched for."""
     output = tmp_path / "heard.txt"
     script = ["sh", str(HERE / "two_machines.sh"), sys.executable, str(session)]
-    done = subprocess.run(
+    completed = subprocess.run(
         [*UNSHARE, *script, str(HERE / "reader.py"), str(output), str(seconds)],
         env={**stranger, "TWINMATCH_NETWORK": network},
         capture_output=True,
@@ -44,8 +44,8 @@ def test_reader_on_another_machine(
         timeout=4 * PATIENCE,
     )
     heard = output.read_text()
-    assert done.returncode == 0, done.stdout + done.stderr + heard
+    assert completed.returncode == 0, completed.stdout + completed.stderr + heard
     assert heard.startswith("ready"), heard
     assert heard.endswith("imported []\n"), heard
-    assert ("NETWORK OPEN" in done.stderr) == (network == "open")
+    assert ("NETWORK OPEN" in completed.stderr) == (network == "open")
     assert ('"output"' in heard) == (network == "open"), heard[:300]

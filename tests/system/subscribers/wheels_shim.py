@@ -69,9 +69,9 @@ def parse_idl_string(idl_string, png_file=None):
 def write_parser(folder: Path) -> None:
     """Write the parser of the generators so that it keeps what it has parsed: each of them parses every
     message, which is most of their time."""
-    found = importlib.util.find_spec("rosidl_parser")
-    assert found is not None
-    assert found.origin is not None
-    shutil.copytree(Path(found.origin).parent, folder / "rosidl_parser")
+    spec = importlib.util.find_spec("rosidl_parser")
+    assert spec is not None
+    assert spec.origin is not None
+    shutil.copytree(Path(spec.origin).parent, folder / "rosidl_parser")
     with (folder / "rosidl_parser" / "parser.py").open("a") as parser:
         parser.write(KEPT)
