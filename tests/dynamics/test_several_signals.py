@@ -185,9 +185,13 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
     integral = np.linalg.solve(LAW.C, at_rest.inputs - LAW.offset)
     common = {"states": at_rest.states, "law": LAW, "controller": integral}
     forecast = forecast_loop(
-        PLANT, covariance=np.diag([0.04, 0.09]), input=at_rest.inputs, drift=[0.02, 0.03], reference=reference,
+        PLANT,
+        covariance=np.diag([0.04, 0.09]),
+        input=at_rest.inputs,
+        drift=[0.02, 0.03],
+        reference=reference,
         **common,
-    )  # fmt: skip
+    )
     run = simulate_closed_loop(PLANT, reference, states=at_rest.states, law=LAW, controller=integral)
     np.testing.assert_allclose(forecast.outputs, run.outputs, atol=1e-9)
     rng = np.random.default_rng(3)
