@@ -74,7 +74,9 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
     window = a_window()
     results = []
     for compared_model in (NATIVE, model):
-        experiment = Experiment(compared_model.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window)
+        experiment = Experiment(
+            compared_model.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window
+        )
         values = experiment.values_of(compared_model.parameters(**TRUTH))
         results.append((experiment.tangents(values), *experiment.normal(values)))
     (exact, cost, gradient, hessian), (tangents, *normal) = results
@@ -94,7 +96,12 @@ def test_an_observer_follows_as_the_native_one_does(model: Model) -> None:
     results = []
     for compared_model in (NATIVE, model):
         observer = Observer(
-            compared_model.parameters(**TRUTH), window.output[0], period=1.0, drift=[0.03], start=[4.5], limit=4.0
+            compared_model.parameters(**TRUTH),
+            window.output[0],
+            period=1.0,
+            drift=[0.03],
+            start=[4.5],
+            limit=4.0,
         )
         for y, u in zip(window.output.tolist(), window.input.tolist(), strict=True):
             observer.correct(y)
@@ -130,7 +137,9 @@ def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
     assert rest_at(foreign, 50.0).input == pytest.approx(rest_at(native, 50.0).input, abs=1e-5)
     for name in ("A", "B", "C"):
         np.testing.assert_allclose(
-            getattr(linearised(foreign, 50.0, 1.0), name), getattr(linearised(native, 50.0, 1.0), name), rtol=1e-5
+            getattr(linearised(foreign, 50.0, 1.0), name),
+            getattr(linearised(native, 50.0, 1.0), name),
+            rtol=1e-5,
         )
 
 
@@ -164,7 +173,10 @@ def test_a_match_to_a_recorded_step_finds_the_same_parameters(
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
 def test_a_structure_is_fitted_alike(model: Model) -> None:
     window = a_window(200)
-    native, foreign = (fit_structure([window], compared_model, thorough=False, informed=True) for compared_model in (NATIVE, model))
+    native, foreign = (
+        fit_structure([window], compared_model, thorough=False, informed=True)
+        for compared_model in (NATIVE, model)
+    )
     for name in NATIVE.structure.free:
         assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
     assert foreign.charge == pytest.approx(native.charge, rel=1e-4)

@@ -120,7 +120,13 @@ def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
     """Of two signals the geometric mean counts; the prior, three forecasts off by the noise, fades."""
     n = 2000
     noise_sized = np.array([[1.0], [1.0]]) * NOISE[:, None] * np.ones(n)
-    ledger = entered({PERSISTENCE: 4.0 * noise_sized, ARX: [[0.5], [0.25]] * noise_sized, "a": [[2.0], [0.5]] * noise_sized})
+    ledger = entered(
+        {
+            PERSISTENCE: 4.0 * noise_sized,
+            ARX: [[0.5], [0.25]] * noise_sized,
+            "a": [[2.0], [0.5]] * noise_sized,
+        }
+    )
     by_persistence, by_arx = ledger.skills("a")[0][:, 0]
     assert by_persistence == pytest.approx(1 - 1 / 4, abs=3 * 4 / n)
     assert by_arx == pytest.approx(1 - np.sqrt(4 * 2), abs=0.02)
@@ -373,7 +379,9 @@ def test_who_asks_in_between_changes_no_bit(asked: set[int], gap: bool) -> None:
         curious.push(sample)
         if sample.index in asked:
             curious.departure(np.zeros(2))
-    for quiet_part, curious_part in zip(quiet.departure(np.zeros(2)), curious.departure(np.zeros(2)), strict=True):
+    for quiet_part, curious_part in zip(
+        quiet.departure(np.zeros(2)), curious.departure(np.zeros(2)), strict=True
+    ):
         if isinstance(quiet_part, np.ndarray):
             np.testing.assert_array_equal(quiet_part, curious_part)
 
@@ -422,7 +430,9 @@ def test_older_samples_weigh_less() -> None:
             y,
             s.input,
         )
-    slopes = [fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)]
+    slopes = [
+        fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)
+    ]
     assert slopes[1] == pytest.approx(0.4, abs=0.01)
     assert slopes[0] < 0.38
 

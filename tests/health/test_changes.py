@@ -153,9 +153,7 @@ def motors(*kinds: str) -> list[Monitor]:
         return k, states, pid, random, monitor
 
     k, states, pid, random, monitor = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
-    return [
-        run(500.0, (k, states, *deepcopy((pid, random)), copied(monitor)), kind)[-1] for kind in kinds
-    ]
+    return [run(500.0, (k, states, *deepcopy((pid, random)), copied(monitor)), kind)[-1] for kind in kinds]
 
 
 def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:

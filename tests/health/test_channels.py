@@ -150,7 +150,9 @@ def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
         best = -math.inf
         for sample in run(seed, "nothing", 250):
             competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
-            best = max([best, *(candidate.evidence for candidate in competition.found() if candidate.row.number)])
+            best = max(
+                [best, *(candidate.evidence for candidate in competition.found() if candidate.row.number)]
+            )
         highest.append(best)
     for nats in (3.0, 5.0):
         assert sum(best >= nats for best in highest) <= binom.ppf(0.9999, len(highest), math.exp(-nats))
@@ -201,7 +203,9 @@ def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
         estimates += [(estimate, sample.outputs[0]) for estimate in monitor.estimates]
     first, _ = estimates[0]
     assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
-    assert max(abs(estimate.value - true) - estimate.band for estimate, true in estimates) < 0.3  # a step of the display
+    assert (
+        max(abs(estimate.value - true) - estimate.band for estimate, true in estimates) < 0.3
+    )  # a step of the display
 
 
 def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:

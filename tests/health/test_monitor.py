@@ -128,7 +128,12 @@ def test_a_failure_is_reported_in_time_and_by_name(
     assert broken[1] <= alarm.flagged <= broken[1] + within
     assert broken[1] - 60 <= alarm.first <= alarm.flagged
     health = healths[alarm.flagged]
-    assert (health.state, health.fault, health.since, health.reason) == (HealthState.FAULT, fault, alarm.first, alarm.reason)
+    assert (health.state, health.fault, health.since, health.reason) == (
+        HealthState.FAULT,
+        fault,
+        alarm.first,
+        alarm.reason,
+    )
     assert "look at" in alarm.reason
 
 

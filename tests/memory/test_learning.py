@@ -50,7 +50,13 @@ def judged(
 def verdict(sample: int, fault: str = "", since: int | None = None, **changed: object) -> Verdict:
     """A verdict of which only a few fields matter."""
     bare = Verdict.__new__(Verdict)
-    usual = {"sample": sample, "level": TrustLevel.TRUSTED, "structure": RICH, "leader": None, "forecasts": ()}
+    usual = {
+        "sample": sample,
+        "level": TrustLevel.TRUSTED,
+        "structure": RICH,
+        "leader": None,
+        "forecasts": (),
+    }
     for name, value in (usual | {"fault": fault, "fault_since": since} | changed).items():
         object.__setattr__(bare, name, value)
     return bare
@@ -109,7 +115,8 @@ def test_nothing_is_learned_from_a_fault_on():
     spoilt = replace(window, outputs=np.where(np.arange(3600) < 2000, window.output, 20.0))
     faulty = judged(spoilt, verdict(1900), verdict(2100, "drive-lost", 2000), verdict(3000))
     learned, healthy = (
-        of_structure(lessons_of(judgement)) for judgement in (faulty, judged(window.part(0, 1999), verdict(1900)))
+        of_structure(lessons_of(judgement))
+        for judgement in (faulty, judged(window.part(0, 1999), verdict(1900)))
     )
     assert learned.fault_at == 2000
     assert replace(learned, session="", fault_at=None) == replace(healthy, session="")

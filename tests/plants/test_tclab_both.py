@@ -49,7 +49,11 @@ def test_it_is_the_published_balance() -> None:
     order = list(temperatures)
     after = advance(KIT, states, [40.0, 25.0], 5.0)
     exact = solve_ivp(
-        lambda t, x: published(t, x, KIT, 40.0, 25.0), (0.0, 5.0), list(temperatures.values()), rtol=1e-11, atol=1e-9
+        lambda t, x: published(t, x, KIT, 40.0, 25.0),
+        (0.0, 5.0),
+        list(temperatures.values()),
+        rtol=1e-11,
+        atol=1e-9,
     ).y[:, -1]
     np.testing.assert_allclose(after, [exact[order.index(name)] for name in WHOLE.states], rtol=1e-7)
 
@@ -120,7 +124,10 @@ def test_a_real_kit_is_forecast_better_than_by_a_vector_arx() -> None:
         peer = fixed._replace(past=past).forecast(ahead, None)[:2]
         for horizon, found_so_far in errors.items():
             found_so_far.append(np.array([twin, peer])[:, :, horizon - 1] - y[k + horizon])
-    rms = {horizon: np.sqrt(np.mean(np.square(horizon_errors), axis=(0, 2))) for horizon, horizon_errors in errors.items()}
+    rms = {
+        horizon: np.sqrt(np.mean(np.square(horizon_errors), axis=(0, 2)))
+        for horizon, horizon_errors in errors.items()
+    }
     assert rms[10][0] < 0.16
     assert rms[60][0] < 0.9 * rms[60][1]
     assert rms[300][0] < 0.75 * rms[300][1]
