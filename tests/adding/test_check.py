@@ -101,9 +101,9 @@ class Twice(Plant, name="twice"):
     ],
 )
 def test_what_no_data_can_tell_apart_is_named(structure: str, message: str) -> None:
-    found = [finding.what for finding in inseparable(Twice.model(structure))]
-    assert len(found) == bool(message)
-    assert all(what.endswith(message) for what in found)
+    findings = [finding.what for finding in inseparable(Twice.model(structure))]
+    assert len(findings) == bool(message)
+    assert all(sentence.endswith(message) for sentence in findings)
 
 
 def test_time_constants_are_those_of_the_equations() -> None:
@@ -115,7 +115,9 @@ def test_a_plant_without_mistakes_has_no_findings() -> None:
     checked = check_plant(Lag, 1.0, lambda *what: shown.append(what))
     assert checked.findings == ()
     total = len(Lag.structures) + 1
-    assert [(done, of) for _, done, of in shown] == [(done, total) for done in range(total)]
+    assert [(done_count, whole_count) for _, done_count, whole_count in shown] == [
+        (done_count, total) for done_count in range(total)
+    ]
     assert shown[-1][0].startswith("checking structure ")
     assert checked.exit_code == 0
     assert checked.notes == ("time constants at the defaults: 5 s",)
@@ -144,13 +146,15 @@ def test_a_power_of_a_state_that_begins_at_zero_is_not_a_finding() -> None:
 
 
 def test_a_power_whose_base_may_be_negative_comes_with_what_to_write() -> None:
-    said = check_plant(Reversing, 0.05).unusable
-    assert "where acts/one is negative; write maximum(acts/one, 1e-6)**(power), or to keep the sign" in said
+    refusal = check_plant(Reversing, 0.05).unusable
+    assert (
+        "where acts/one is negative; write maximum(acts/one, 1e-6)**(power), or to keep the sign" in refusal
+    )
 
 
 def test_what_several_structures_share_is_said_once() -> None:
-    said = [finding.what for finding in check_plant(Twice, 500.0).findings]
-    slow = [what for what in said if "shortest time constant" in what]
+    sentences = [finding.what for finding in check_plant(Twice, 500.0).findings]
+    slow = [sentence for sentence in sentences if "shortest time constant" in sentence]
     assert len(slow) == 1
     assert slow[0].startswith("structures 'plain', 'ratio', 'product'")
 
@@ -212,11 +216,18 @@ def test_what_is_wrong_is_reported(
 def test_a_stiff_plant_is_usable(tmp_path: Path, period: float | None) -> None:
     """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than the block needs."""
     shell = (SHELL[0], SHELL[1].replace("default=9.0, bounds=(1.0, 99.0)", "default=3.0, bounds=(1.0, 9.0)"))
-    seen = ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")
+    shell_rate = ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")
     heavy = ("default=100.0, bounds=(10.0, 1000.0)", "default=1e5, bounds=(1e4, 1e6)")
     shown = ("output=self.block", "output=self.shell")
     checked = checked_file(
-        tmp_path, f"checked_stiff_{period or 0:.0f}", shell, SHELL_START, seen, heavy, shown, period=period
+        tmp_path,
+        f"checked_stiff_{period or 0:.0f}",
+        shell,
+        SHELL_START,
+        shell_rate,
+        heavy,
+        shown,
+        period=period,
     )
     assert (checked.unusable, checked.findings) == ("", ())
 
@@ -249,10 +260,10 @@ def test_the_command_says_it_and_its_exit_code_too(tmp_path: Path) -> None:
     assert good.returncode == 0, good.stdout + good.stderr
     assert "no problems found" in good.stdout
     wrong = ('free=("gain", "capacity")', 'free=("gain", "capacity", "loss")')
-    found = run_twinmatch("check-plant", plant_file(tmp_path, "checked_found", wrong))
-    assert found.returncode == 1
-    assert "separately, only their ratios" in found.stdout
-    assert "→ remove one of them from `free`" in found.stdout
+    with_finding = run_twinmatch("check-plant", plant_file(tmp_path, "checked_found", wrong))
+    assert with_finding.returncode == 1
+    assert "separately, only their ratios" in with_finding.stdout
+    assert "→ remove one of them from `free`" in with_finding.stdout
     broken = run_twinmatch(
         "check-plant", plant_file(tmp_path, "checked_broken", ("self.loss *", "self.los *"))
     )
@@ -265,7 +276,7 @@ def told(plant: type[Plant]) -> list[str]:
     looked = Dimensions(plant)
     for structure in plant.structures.values():
         looked.check(structure.parts)
-    return [found.what for found in looked.findings.values()]
+    return [finding.what for finding in looked.findings.values()]
 
 
 def test_columns_of_a_recording_are_named_and_mapped(
@@ -275,9 +286,10 @@ def test_columns_of_a_recording_are_named_and_mapped(
     log.write_text("clock,plate,duty\n" + "".join(f"{k},30,0\n" for k in range(90)), encoding="utf-8")
     asked = ["check-plant", "peltier", "--data", str(log)]
     assert main(asked) == 2
-    told = capsys.readouterr().err
+    printed_error = capsys.readouterr().err
     assert (
-        "add --map time=COLUMN output=COLUMN input=COLUMN; its columns are 'clock', 'plate', 'duty'" in told
+        "add --map time=COLUMN output=COLUMN input=COLUMN; its columns are 'clock', 'plate', 'duty'"
+        in printed_error
     )
     for words in (["--map", "time=clock"], ["--period", "1", "--map"]):
         assert main([*asked, *words, "output=plate", "input=duty"]) == 1
@@ -325,8 +337,8 @@ SINK = "self.loss * (self.block - self.room)"
 )
 def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     name = f"units_wrong_{crc32(repr((old, new)).encode())}"
-    found = told(find_plant(str(plant_file(tmp_path, name, (old, new)))))
-    assert any(re.search(message, what) for what in found), found
+    sentences = told(find_plant(str(plant_file(tmp_path, name, (old, new)))))
+    assert any(re.search(message, sentence) for sentence in sentences), sentences
 
 
 def test_the_size_of_a_high_power_is_not_judged(tmp_path: Path) -> None:
@@ -394,7 +406,7 @@ def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
             whole = super().equations(parts)
             return replace(whole, rates={s: r.subs(self.second_power, 0) for s, r in whole.rates.items()})
 
-    found = check_plant(Idle, 2.0)
-    what = "structures 'all' and 'apart': the drive second_power does not act on the output"
-    assert what in [finding.what for finding in found.findings]
-    assert "second_gain is free, but does not occur" in found.unusable
+    checked_idle = check_plant(Idle, 2.0)
+    sentence = "structures 'all' and 'apart': the drive second_power does not act on the output"
+    assert sentence in [finding.what for finding in checked_idle.findings]
+    assert "second_gain is free, but does not occur" in checked_idle.unusable

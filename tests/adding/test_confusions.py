@@ -37,12 +37,12 @@ def errors(parameters: Parameters, states: FloatArray, u: FloatArray, size: int)
     shows = slopes[4]
     x = np.zeros(n)
     push = np.zeros(o)
-    found = []
+    readings = []
     for _ in range(size):
-        found.append(shows @ x + model.noise * random.standard_normal(o))
+        readings.append(shows @ x + model.noise * random.standard_normal(o))
         push = assumed.keeps[0] * push + assumed.stray * random.standard_normal(o)
         x = moves @ x + assumed.drift[:n] * random.standard_normal(n) + np.linalg.pinv(shows) @ push
-    return np.array(found)
+    return np.array(readings)
 
 
 AFTER = 150
@@ -87,33 +87,37 @@ def test_what_is_said_apart_is_named_and_what_is_said_alike_is_said_as_both(
     kit, healthy, strayed = watched
     faults = rows(kit)
     # Of two that are alike one may be told from the other, but not the other from it.
-    alike = {one for one in ("losses", "ambient") if number in (kit.rivals(faults[one]) or ())}
-    alike |= {*(kit.rivals(faults[number]) or ())}
-    monitor = copy.deepcopy(healthy, {id(one): one for one in (kit.parameters, kit.parameters.model)})
+    rival_numbers = {cause for cause in ("losses", "ambient") if number in (kit.rivals(faults[cause]) or ())}
+    rival_numbers |= {*(kit.rivals(faults[number]) or ())}
+    monitor = copy.deepcopy(
+        healthy, {id(shared): shared for shared in (kit.parameters, kit.parameters.model)}
+    )
     for sample in samples(kit, kit.readings(faults[number])[:AFTER] + strayed, len(kit.healthy)):
         monitor.push(sample)
     (alarm,) = monitor.alarms
     if named:
-        assert alike == set()
+        assert rival_numbers == set()
         assert (alarm.fault, alarm.signal, alarm.rivals) == (*named, ())
     else:
-        assert alike == {"losses", "ambient"} - {number}
+        assert rival_numbers == {"losses", "ambient"} - {number}
         assert alarm.fault is Fault.DRIFT
-        assert {*alarm.rivals} == {kit.called[one] for one in (number, *alike)}
+        assert {*alarm.rivals} == {kit.called[cause] for cause in (number, *rival_numbers)}
 
 
 def test_with_one_sensor_a_drive_and_the_room_are_not_told_apart_either() -> None:
-    (said,) = confusions(PLANTS["tclab"], 1.0)
+    (sentence,) = confusions(PLANTS["tclab"], 1.0)
     begins = "faults that cannot be told apart, even under large steps (a sample every 1 s): "
-    assert said.startswith(begins)
+    assert sentence.startswith(begins)
     loss = "losses (convection to the room)"
     room = "temperature of the room"
-    assert {f"{loss} and {room}", f"{room} and the drive heater 1"} < {*said.removeprefix(begins).split("; ")}
+    assert {f"{loss} and {room}", f"{room} and the drive heater 1"} < {
+        *sentence.removeprefix(begins).split("; ")
+    }
 
 
 def test_what_is_too_small_at_its_usual_size_is_compared_with_nothing() -> None:
-    said = confusions(PLANTS["peltier"], 1.0)
-    assert said[-1].startswith(
+    sentences = confusions(PLANTS["peltier"], 1.0)
+    assert sentences[-1].startswith(
         "faults too small to show beside such steps, at their usual size: losses (convection"
     )
 
@@ -132,15 +136,15 @@ class Walls(Heaters, name="walls"):
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        one = self.one - 23.0
-        two = self.two - 23.0
+        first_above = self.one - 23.0
+        second_above = self.two - 23.0
         flow = self.exchange * (self.two - self.one)
-        first = self.first_gain * self.first_power - self.near * one + flow
+        first = self.first_gain * self.first_power - self.near * first_above + flow
         second = self.second_gain * self.second_power - flow
         if "each" in parts:
-            second -= self.far * two
+            second -= self.far * second_above
         else:
-            first -= self.far * one
+            first -= self.far * first_above
         return Equations(
             rates={self.one: first, self.two: second},
             output={self.first: self.one, self.second: self.two},
@@ -152,7 +156,7 @@ class Walls(Heaters, name="walls"):
 def test_two_losses_of_one_body_are_one_and_of_two_bodies_two(name: str) -> None:
     """Of one body they enter as a sum, which no experiment divides; of two each cools its own sensor more."""
     trial = FaultTrial(Walls.model(name).typical(), 2.0)
-    for number, other in (("near", "far"), ("far", "near")):
-        found = trial.rivals(rows(trial)[number])
-        assert found is not None
-        assert (other in found) == (name == "one body")
+    for number, rival in (("near", "far"), ("far", "near")):
+        rivals = trial.rivals(rows(trial)[number])
+        assert rivals is not None
+        assert (rival in rivals) == (name == "one body")

@@ -94,8 +94,8 @@ def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
         "low-pass of second order": (plant + 0.1 * twice, 0.1),
         "spikes": (plant + 0.1 * white + spikes, 0.1),
     }  # fmt: skip
-    for number, seen in enumerate(map(thermistor, thermistors)):
-        shown[f"thermistor {number}"] = seen, float(np.sqrt(np.mean((seen - plant) ** 2)))
+    for number, reading in enumerate(map(thermistor, thermistors)):
+        shown[f"thermistor {number}"] = reading, float(np.sqrt(np.mean((reading - plant) ** 2)))
     return shown
 
 
@@ -105,8 +105,8 @@ def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(lag: float
     u = np.repeat(levels, hold)[:3150]
     pole = np.exp(-1.0 / lag)
     plant = lfilter([0.0, 1 - pole], [1.0, -pole], 0.57 * u) + 28.0
-    for name, (seen, noise) in readings(plant).items():
-        assert noise_of(seen, [u]) == pytest.approx(noise, rel=0.3), name
+    for name, (reading, noise) in readings(plant).items():
+        assert noise_of(reading, [u]) == pytest.approx(noise, rel=0.3), name
 
 
 def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:
@@ -133,15 +133,15 @@ MAP = ["time=when", "output=T", "input=Heat"]
 def test_gain_and_lag_are_in_reach_of_the_truth(
     tmp_path_factory: pytest.TempPathFactory, gain: float, lag: float, period: float
 ) -> None:
-    found = propose(read_table(lagged(tmp_path_factory.getbasetemp(), gain, lag, period)), parse_map(MAP))
+    proposal = propose(read_table(lagged(tmp_path_factory.getbasetemp(), gain, lag, period)), parse_map(MAP))
     # A match begins there and looks twenty times farther either way.
-    assert 0.5 * gain < found.gain < 2 * gain
-    assert 0.5 * lag < found.lag < 2 * lag
-    assert found.period == period
-    assert (found.input.low, found.input.high) == (0.0, 100.0)
-    assert found.output.unit == "°C"
-    assert found.output.low < 20
-    assert found.output.high > 20 + gain * 100
+    assert 0.5 * gain < proposal.gain < 2 * gain
+    assert 0.5 * lag < proposal.lag < 2 * lag
+    assert proposal.period == period
+    assert (proposal.input.low, proposal.input.high) == (0.0, 100.0)
+    assert proposal.output.unit == "°C"
+    assert proposal.output.low < 20
+    assert proposal.output.high > 20 + gain * 100
 
 
 def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
@@ -185,15 +185,15 @@ def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
 ) -> None:
     """PID libraries call what they measure Input, and the drive Output."""
     log = pid_log(tmp_path, *titles)
-    here = str(tmp_path)
+    folder = str(tmp_path)
     name = f"boiler_of_{titles[2].lower()}"
-    assert main(["new-plant", name, "--from", str(log), "-o", here]) == 0
+    assert main(["new-plant", name, "--from", str(log), "-o", folder]) == 0
     assert ("Input is taken as what is measured" in capsys.readouterr().out) == said
     plant = tmp_path / f"{name}.py"
     mapped = tmp_path / f"{name}_map.yaml"
     columns = yaml.safe_load(mapped.read_text())["columns"]
     assert [columns[name] for name in ("time", "reference", "output", "input")] == [*titles]
-    asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{here}/s"]
+    asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{folder}/s"]
     assert main(asked) == 0
     session = open_any(tmp_path / "s")
     assert session.samples[-1].input == pytest.approx(float(log.read_text().split(",")[-1]))
@@ -212,11 +212,11 @@ def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
     y = np.round(block + spikes, 2)
     rows = "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
     (tmp_path / "log.csv").write_text(f"when,T (degC),Heat (%)\n{rows}\n")
-    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
-    assert (held.gain, held.lag, held.noise) == pytest.approx((0.6, 120.0, 0.1), rel=0.1)
-    plant = find_plant(str(written(tmp_path, held, "spiky_one")[0]))
+    proposal = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    assert (proposal.gain, proposal.lag, proposal.noise) == pytest.approx((0.6, 120.0, 0.1), rel=0.1)
+    plant = find_plant(str(written(tmp_path, proposal, "spiky_one")[0]))
     settled = filled(samples_of(Window(y, y, u)), TwinSettings.of(plant))
-    assert [one.index for one in settled if not one.seen] == np.flatnonzero(spikes).tolist()
+    assert [sample.index for sample in settled if not sample.seen] == np.flatnonzero(spikes).tolist()
 
 
 def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:
@@ -226,8 +226,8 @@ def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:
     y = lfilter([0.0, 0.05], [1.0, -0.95], 3.0 * u - 150.0) + 0.05 * random.standard_normal(u.size)
     rows = "\n".join(f"{k},{a:.3f},{b:.2f}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
     (tmp_path / "log.csv").write_text(f"when,T (mbar),Heat (l/min)\n{rows}\n")
-    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
-    plant = find_plant(str(written(tmp_path, held, "pumped_one")[0]))
+    proposal = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    plant = find_plant(str(written(tmp_path, proposal, "pumped_one")[0]))
     assert not [finding for finding in check_plant(plant).findings if "outside its bounds" in finding.what]
 
 
@@ -247,20 +247,20 @@ def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: 
     }
     table = Table(Path('a"b\\{{c}}.csv'), columns, range(1, 401))
     sources = zip(("time", "output", "input", "on"), columns, strict=True)
-    held = propose(table, SignalMap({signal: SignalSource((title,)) for signal, title in sources}))
-    files = files_of(f"my_{name}" if name == "plant" else name, held)
+    proposal = propose(table, SignalMap({signal: SignalSource((title,)) for signal, title in sources}))
+    files = files_of(f"my_{name}" if name == "plant" else name, proposal)
     plant, test, config, columns_map = files.values()
     compile(test, "test", "exec")
     yaml.safe_load(config)
     read = yaml.safe_load(columns_map)["columns"]
-    assert list(read) == list(held.sources)
+    assert list(read) == list(proposal.sources)
     module: dict[str, object] = {"__name__": "written"}
     exec(compile(plant, "plant", "exec"), module)
-    made = next(v for v in module.values() if isinstance(v, type) and v.__module__ == "written")
-    assert [made.output.name, made.drive.name, *made.disturbances] == [
-        held.output.name, held.input.name, *(d.name for d in held.disturbances),
+    plant_class = next(v for v in module.values() if isinstance(v, type) and v.__module__ == "written")
+    assert [plant_class.output.name, plant_class.drive.name, *plant_class.disturbances] == [
+        proposal.output.name, proposal.input.name, *(d.name for d in proposal.disturbances),
     ]  # fmt: skip
-    assert made().equations(frozenset()).rates
+    assert plant_class().equations(frozenset()).rates
 
 
 def written(folder: Path, held: Proposal, name: str) -> list[Path]:
@@ -280,16 +280,16 @@ def own_tests_pass(path: Path) -> None:
 
 def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
     room = 20 + np.sin(np.arange(1000) / 100)
-    held = propose(read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)), parse_map([*MAP, "room=Room"]))
-    paths = written(tmp_path, held, "my_kiln")
+    proposal = propose(read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)), parse_map([*MAP, "room=Room"]))
+    paths = written(tmp_path, proposal, "my_kiln")
     assert [path.name for path in paths] == [
         *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
     ]
     assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
     own_tests_pass(paths[1])
     style = (sys.executable, "-m", "ruff", "format", "--check", "--line-length", "110", *paths[:2])
-    done = Process(*style, output=tmp_path / "said.txt", folder=tmp_path, forked=True)
-    assert done.wait() == 0, done.text
+    process = Process(*style, output=tmp_path / "said.txt", folder=tmp_path, forked=True)
+    assert process.wait() == 0, process.text
 
 
 def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> None:
@@ -300,9 +300,9 @@ def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> 
     rows = "\n".join(f"{k},{a:.4f},{b:.4f},25.{k % 7}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
     (tmp_path / "cell.csv").write_text(f"time,U (V),Flow (L/min),Temp (C)\n{rows}\n")
     given_map = ["time=time", "output=U", "input=Flow", "temperature=Temp"]
-    held = propose(read_table(tmp_path / "cell.csv"), parse_map(given_map))
-    assert held.around is None
-    for name, text in files_of("cell", held).items():
+    proposal = propose(read_table(tmp_path / "cell.csv"), parse_map(given_map))
+    assert proposal.around is None
+    for name, text in files_of("cell", proposal).items():
         (tmp_path / name).write_text(text)
     plant = find_plant(str(tmp_path / "cell.py"))
     assert check_plant(plant).findings == ()
@@ -323,12 +323,12 @@ def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) ->
     path = written(tmp_path, propose(read_table(table), parse_map(MAP)), "late_one")[0]
     plant = find_plant(str(path))
     samples = samples_of(Window(y, y, power))
-    found = judge_samples("late", samples, TwinSettings.of(plant))
-    accepted = [report.match for report in found.matches if report.match.accepted]
+    judgement = judge_samples("late", samples, TwinSettings.of(plant))
+    accepted = [report.match for report in judgement.matches if report.match.accepted]
     assert len(accepted) >= 3
     for match in accepted:
         assert match.parameters["dead_time"] == pytest.approx(late, abs=1.0)
-    assert found.verdicts[-1].structure in ("", "dead time")
+    assert judgement.verdicts[-1].structure in ("", "dead time")
 
 
 def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
@@ -343,16 +343,16 @@ def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_writ
     table = tmp_path / "loaded.csv"
     rows = "\n".join(f"{k},{a:.3f},{b},{c:.3f}" for k, (a, b, c) in enumerate(zip(y, u, room, strict=True)))
     table.write_text(f"when,T (degC),Heat (%),Room (degC)\n{rows}\n")
-    held = propose(read_table(table), parse_map([*MAP, "room=Room"]))
-    plant = find_plant(str(written(tmp_path, held, "loaded_one")[0]))
+    proposal = propose(read_table(table), parse_map([*MAP, "room=Room"]))
+    plant = find_plant(str(written(tmp_path, proposal, "loaded_one")[0]))
     window = Window(y, y, u, period=1.0, disturbances=room[:, None])
-    found = fit_structure([window], plant.model("sensor lag, load"), law=None)
+    fitted = fit_structure([window], plant.model("sensor lag, load"), law=None)
     # A few standard errors; the first-order hold of the room and its samples differ by less.
-    assert found.parameters["load"] == pytest.approx(4.0, abs=0.05)
-    assert found.parameters["gain"] == pytest.approx(0.5, rel=0.01)
-    assert found.parameters["sensor_lag"] == pytest.approx(8.0, rel=0.15)
+    assert fitted.parameters["load"] == pytest.approx(4.0, abs=0.05)
+    assert fitted.parameters["gain"] == pytest.approx(0.5, rel=0.01)
+    assert fitted.parameters["sensor_lag"] == pytest.approx(8.0, rel=0.15)
     without = fit_structure([window], plant.model("sensor lag"), law=None)
-    assert without.cost > 5 * found.cost
+    assert without.cost > 5 * fitted.cost
 
 
 def test_a_second_store_is_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
@@ -361,20 +361,20 @@ def test_a_second_store_is_found_with_the_file_as_it_was_written(tmp_path: Path)
     rows = zip(np.arange(len(room)) * PERIOD, room.output, room.input, room.disturbances[:, 0], strict=True)
     table = tmp_path / "walls.csv"
     table.write_text("when,T (degC),Heat (kW),Room (degC)\n" + "\n".join(",".join(map(str, r)) for r in rows))
-    held = propose(read_table(table), parse_map([*MAP, "room=Room"]))
-    plant = find_plant(str(written(tmp_path, held, "walled_one")[0]))
-    left = {n: fit_structure([room], plant.model(n), law=None).cost for n in ("one lag", "second store")}
-    assert left["second store"] < 0.1 * left["one lag"]
+    proposal = propose(read_table(table), parse_map([*MAP, "room=Room"]))
+    plant = find_plant(str(written(tmp_path, proposal, "walled_one")[0]))
+    cost_of = {n: fit_structure([room], plant.model(n), law=None).cost for n in ("one lag", "second store")}
+    assert cost_of["second store"] < 0.1 * cost_of["one lag"]
 
 
 def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
-    done = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "twinmatch check-plant" in done.stdout
+    process = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
+    assert process.returncode == 0, process.stderr
+    assert "twinmatch check-plant" in process.stdout
     own_tests_pass(tmp_path / "test_my_block.py")
-    again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
+    second_process = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
+    assert second_process.returncode == 2
+    assert "exists already" in second_process.stderr
 
 
 # A plant against a recording of it: faults, the loop that ran it, the structure that it supports.
@@ -425,9 +425,9 @@ def test_the_loop_that_ran_the_plant_is_not_a_finding() -> None:
     ids=["proportional", "integral", "windup", "limit"],
 )
 def test_another_loop_is_a_finding(wrong: dict[str, float]) -> None:
-    (found,) = loop_findings(driven_by(GAINS), Motor, replace(GAINS, **wrong))
-    assert "does not give the recorded input" in found.what
-    assert "back_calculation" in found.todo
+    (finding,) = loop_findings(driven_by(GAINS), Motor, replace(GAINS, **wrong))
+    assert "does not give the recorded input" in finding.what
+    assert "back_calculation" in finding.todo
     assert not [*loop_findings(driven_by(GAINS, has_reference=False), Motor, replace(GAINS, **wrong))]
 
 
@@ -471,8 +471,8 @@ def test_the_structure_that_made_the_data_is_recommended() -> None:
     # The delay of 5 s is found to about its standard error of 0.02 s.
     assert float(lines["with pipe"].split("delay = ")[1]) == pytest.approx(5.0, abs=0.06)
     # White noise of the declared size is left, within 3 standard errors of an estimate from 600 samples.
-    left = float(lines["with pipe"].split("(")[1].split(" ")[0])
-    assert abs(left - 1.0) < 0.09
+    residual = float(lines["with pipe"].split("(")[1].split(" ")[0])
+    assert abs(residual - 1.0) < 0.09
 
 
 def test_the_simpler_one_is_kept_if_it_suffices() -> None:
@@ -484,10 +484,10 @@ def test_the_simpler_one_is_kept_if_it_suffices() -> None:
 
 def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None:
     assert compare_structures(stretches(recorded("without")[:50], 1.0), Exchanger, DRIVEN).notes == []
-    one = compare_structures(stretches(driven_lag(), 1.0), Lag, TwinSettings.of(Lag))
-    assert one.findings == []
-    assert len(one.notes) == 2
-    assert one.least[0] < 1e-6
+    comparison = compare_structures(stretches(driven_lag(), 1.0), Lag, TwinSettings.of(Lag))
+    assert comparison.findings == []
+    assert len(comparison.notes) == 2
+    assert comparison.least[0] < 1e-6
 
 
 def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
@@ -503,9 +503,9 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
     assert left_over == "over the whole recording, the best of the structures leaves 0.59 °C of second"
     assert noise.startswith("the noise of the output second is declared as 0.1, but measured as 0.")
     lines = {note.split(":")[0].strip(): note for note in checked.notes}
-    left = [float(part.split(" ")[0]) for part in lines["all"].split("(")[1:]]
+    residuals = [float(part.split(" ")[0]) for part in lines["all"].split("(")[1:]]
     # White noise of 1 and 6 times the declared size, within 3 standard errors of 1000 samples.
-    assert left == pytest.approx([1.0, 6.0], rel=0.07)
+    assert residuals == pytest.approx([1.0, 6.0], rel=0.07)
     assert float(lines["apart"].split("(")[1].split(" ")[0]) > 10.0
 
 
@@ -524,6 +524,6 @@ def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) ->
     verdict = judge(session, terms_from_files(session)).verdicts[-1]
     notes = check_data(session, Incubator).notes
     assert verdict.structure == "box with mass"
-    off = {note.split(":")[0].strip(): note.split("off by ")[1] for note in notes if "off by" in note}
+    error_words = {note.split(":")[0].strip(): note.split("off by ")[1] for note in notes if "off by" in note}
     beside = [model.structure_name for model in watched(Incubator)]
-    assert min(beside, key=lambda watched: float(off[watched].split(" ")[0])) == verdict.structure
+    assert min(beside, key=lambda watched: float(error_words[watched].split(" ")[0])) == verdict.structure

@@ -201,9 +201,9 @@ def test_the_scales_are_those_of_the_controller_and_only_their_ratio_counts() ->
     margin = loop_margin(RIG, 50.0, gains)
     assert loop_margin(RIG, 50.0, gains, scales=Scales(2 * 255.0 / 38.57, 510.0)) == pytest.approx(margin)
     # not far below the best of all units, and far above bad ones
-    others = [loop_margin(RIG, 50.0, gains, scales=Scales(t, 255.0)) for t in np.geomspace(0.5, 80.0, 40)]
-    assert margin > 0.75 * max(others)
-    assert min(others) < 0.25 * margin
+    margins = [loop_margin(RIG, 50.0, gains, scales=Scales(t, 255.0)) for t in np.geomspace(0.5, 80.0, 40)]
+    assert margin > 0.75 * max(margins)
+    assert min(margins) < 0.25 * margin
 
 
 def test_the_healthy_rig_is_held_with_room() -> None:
@@ -248,10 +248,10 @@ def test_models_go_from_the_input_to_the_output() -> None:
     assert np.sum(first.y.B) / np.sum(first.y.F) == pytest.approx(1.5, rel=0.01)
     slowest = np.max(np.abs(np.roots(first.y.F)))
     assert slowest == pytest.approx(np.exp(-1.0 / 12.0), rel=0.01)
-    told = score(first, window, absolute=0.0)
-    assert told.u is None
-    assert told.total == told.y
-    assert told.y.explanation > 0.2
+    first_score = score(first, window, absolute=0.0)
+    assert first_score.u is None
+    assert first_score.total == first_score.y
+    assert first_score.y.explanation > 0.2
     with pytest.raises(FittingError, match="is constant"):
         identify(Window(np.zeros(200), window.output[:200], np.ones(200)), scale=1.0)
 
@@ -268,20 +268,20 @@ def test_deviations_are_from_rest_or_from_the_means() -> None:
 
 def test_a_plant_is_compared_where_it_rests() -> None:
     """The gap of two lags that differ in gain alone is that of another program's frequency responses."""
-    one = Lag.model().parameters(gain=1.0, lag=12.0)
-    other = one.replace(gain=1.6)
+    weaker = Lag.model().parameters(gain=1.0, lag=12.0)
+    stronger = weaker.replace(gain=1.6)
     terms = LoopConditions(None, spans_of(Lag), 240, 1.0)
-    np.testing.assert_array_equal(linearised_in_loop(one, 2.0, terms).A, linearised(one, 2.0, 1.0).A)
+    np.testing.assert_array_equal(linearised_in_loop(weaker, 2.0, terms).A, linearised(weaker, 2.0, 1.0).A)
     scale = terms.scales.ratio
     z = np.exp(1j * np.geomspace(1e-4, np.pi, 2000))
     responses = []
-    for plant in (one, other):
+    for plant in (weaker, stronger):
         linear = linearised(plant, 2.0, 1.0)
         system = control.ss(linear.A, linear.B, scale * linear.C, 0.0, 1.0)
         responses.append(np.array([complex(np.squeeze(system(point))) for point in z]))
     a, b = responses
     chordal = np.abs(a - b) / np.sqrt((1 + np.abs(a) ** 2) * (1 + np.abs(b) ** 2))
-    assert plant_gap(one, other, (2.0,), terms) == pytest.approx(float(chordal.max()), rel=1e-4)
+    assert plant_gap(weaker, stronger, (2.0,), terms) == pytest.approx(float(chordal.max()), rel=1e-4)
 
 
 def test_there_is_no_margin_without_a_controller() -> None:
@@ -293,9 +293,9 @@ def test_there_is_no_margin_without_a_controller() -> None:
 def test_models_of_real_windows_forecast_the_window(samples: list) -> None:
     window = Window.from_samples(samples, PERIOD)
     scale = spans_of(Box).ratio
-    told = [score(model, window, absolute=Box.output.absolute) for model in identify(window, scale=scale)]
-    assert max(t.y.gain for t in told) > 0
-    assert all(np.isfinite(t.total.naic) for t in told)
+    scores = [score(model, window, absolute=Box.output.absolute) for model in identify(window, scale=scale)]
+    assert max(t.y.gain for t in scores) > 0
+    assert all(np.isfinite(t.total.naic) for t in scores)
 
 
 wholes = st.lists(st.integers(-50, 50), min_size=1, max_size=6)
@@ -401,9 +401,9 @@ def test_double_integrators_shared_by_both_outputs() -> None:
 @pytest.mark.parametrize("hidden", [(1.3,), (0.0,), (2.0, 0.1), (1.0, 1.0), (0.5, -1.0)])
 def test_hidden_unstable_modes_are_cancelled(hidden: tuple[float, ...]) -> None:
     plain = ([1.0], [1.0, 2.0])
-    other = ([1.1], [1.0, 2.1])
+    neighbour = ([1.1], [1.0, 2.1])
     clouded = (poly(*hidden), [float(c) for c in np.polymul(poly(*hidden), [1.0, 2.0])])
-    assert gap_of([clouded], [other]) == pytest.approx(gap_of([plain], [other]), rel=1e-9)
+    assert gap_of([clouded], [neighbour]) == pytest.approx(gap_of([plain], [neighbour]), rel=1e-9)
 
 
 def test_a_mere_zero_has_no_poles() -> None:

@@ -124,12 +124,12 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
         low = mp.mpf(nodes[k - 1])
         high = mp.mpf(nodes[k + 1])
         for _ in range(34):
-            left = high - golden * (high - low)
-            right = low + golden * (high - low)
-            if margin(left) < margin(right):
-                high = right
+            inner_low = high - golden * (high - low)
+            inner_high = low + golden * (high - low)
+            if margin(inner_low) < margin(inner_high):
+                high = inner_high
             else:
-                low = left
+                low = inner_low
         best = min(best, margin((low + high) / 2))
     return best
 
@@ -207,18 +207,18 @@ def test_the_controller_holds_for_every_plant_within_the_gap(seed: int, discrete
     first = symbol(fractions, discrete)
     margin = stability_margin(first, controller)
     assume(margin > 0)
-    other = symbol(
+    second = symbol(
         [
             (n * (1 + size * rng.normal(size=n.size)), d * (1 + size * rng.normal(size=d.size)))
             for n, d in fractions
         ],
         discrete,
     )
-    gap = nu_gap(first, other)
+    gap = nu_gap(first, second)
     least = math.asin(margin) - math.asin(gap)
-    assert math.asin(stability_margin(other, controller)) >= least - 1e-9
+    assert math.asin(stability_margin(second, controller)) >= least - 1e-9
     if gap < margin:
-        assert stability_margin(other, controller) > 0
+        assert stability_margin(second, controller) > 0
 
 
 def test_the_bound_is_tight() -> None:
@@ -227,10 +227,10 @@ def test_the_bound_is_tight() -> None:
     for near, holds in ((0.999, True), (1.001, False)):
         # 1/s and 1/s − g are farthest apart at infinity, where the loop is lost when 3g = 1
         g = near / 3
-        other = (1 - g * S) / S
+        neighbour = (1 - g * S) / S
         gap = nu_gap(*(GraphSymbol.of_polynomials([1.0, 0.0], n, 0.0) for n in ([[1.0]], [[-g, 1.0]])))
         assert (gap < margin) == holds
-        assert (stability_margin(other, control.tf([3], [1])) > 0) == holds
+        assert (stability_margin(neighbour, control.tf([3], [1])) > 0) == holds
 
 
 def test_a_controller_of_two_inputs() -> None:

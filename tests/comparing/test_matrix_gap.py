@@ -70,10 +70,10 @@ def test_a_plant_is_orthogonal_to_its_negative_inverse_adjoint() -> None:
     """P and −(P~)⁻¹: their graphs are orthogonal at every frequency."""
     plant = random_plant(np.random.default_rng(3), 3, 2, 2, False)
     inverse = np.linalg.inv(plant.D)
-    other = StateSpace(
+    inverse_adjoint = StateSpace(
         plant.A - plant.B @ inverse @ plant.C, plant.B @ inverse, -inverse @ plant.C, inverse
     ).adjoint
-    negative = StateSpace(other.A, other.B, -other.C, -other.D)
+    negative = StateSpace(inverse_adjoint.A, inverse_adjoint.B, -inverse_adjoint.C, -inverse_adjoint.D)
     assert matrix_nu_gap(plant, negative) == 1.0
 
 
@@ -108,13 +108,15 @@ def test_agrees_with_the_exact_one_for_one_signal(discrete: bool) -> None:
     checked = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        one = random_plant(rng, int(rng.integers(1, 5)), 1, 1, discrete)
-        other = near(rng, one, 0.05) if seed % 2 else random_plant(rng, 3, 1, 1, discrete)
-        exact = nu_gap(one, other)
+        first = random_plant(rng, int(rng.integers(1, 5)), 1, 1, discrete)
+        second = near(rng, first, 0.05) if seed % 2 else random_plant(rng, 3, 1, 1, discrete)
+        exact = nu_gap(first, second)
         checked += exact < 1
-        assert matrix_nu_gap(one, other) == pytest.approx(exact, abs=2e-9), seed
+        assert matrix_nu_gap(first, second) == pytest.approx(exact, abs=2e-9), seed
         controller = space([0.3 * rng.standard_normal()], [1])
-        assert matrix_margin(one, controller) == pytest.approx(stability_margin(one, controller), abs=1e-9)
+        assert matrix_margin(first, controller) == pytest.approx(
+            stability_margin(first, controller), abs=1e-9
+        )
     assert checked > 80
 
 
@@ -137,18 +139,18 @@ def test_rotated_pairs_have_the_largest_gap_of_their_parts() -> None:
 def on_grid(one: StateSpace, other: StateSpace) -> float:
     """By the definition on a dense grid with python-control's responses: κ, and the phase of det(I + P₂*P₁),
     whose turns make up for the difference in unstable poles."""
-    at = np.concatenate([[1e-6], np.logspace(-4, np.log10(np.pi) if one.period else 4, 600)])
+    frequencies = np.concatenate([[1e-6], np.logspace(-4, np.log10(np.pi) if one.period else 4, 600)])
     args = () if one.period is None else (1.0,)
     first, second = (control.ss(s.A, s.B, s.C, s.D, *args) for s in (one, other))
     unstable = [int(np.sum(abs(s.poles()) > 1 if args else s.poles().real > 0)) for s in (first, second)]
-    points = np.exp(1j * at) if args else 1j * at
+    points = np.exp(1j * frequencies) if args else 1j * frequencies
     a, b = (np.moveaxis(s(points, squeeze=False), -1, 0) for s in (first, second))
     adjoint = a.conj().swapaxes(1, 2)
     # Cholesky factors are square roots up to rotations, which leave the norm as it is.
-    left = np.linalg.cholesky(np.eye(b.shape[1]) + b @ b.conj().swapaxes(1, 2))
-    right = np.linalg.cholesky(np.eye(a.shape[2]) + adjoint @ a)
-    halved = np.linalg.solve(right, (a - b).conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
-    best = float(np.linalg.norm(np.linalg.solve(left, halved), 2, axis=(1, 2)).max())
+    left_root = np.linalg.cholesky(np.eye(b.shape[1]) + b @ b.conj().swapaxes(1, 2))
+    right_root = np.linalg.cholesky(np.eye(a.shape[2]) + adjoint @ a)
+    halved = np.linalg.solve(right_root, (a - b).conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
+    best = float(np.linalg.norm(np.linalg.solve(left_root, halved), 2, axis=(1, 2)).max())
     inner = np.linalg.det(np.eye(a.shape[2]) + b.conj().swapaxes(1, 2) @ a)
     turned = float(np.angle(inner[1:] / inner[:-1]).sum())
     winds = round(turned / np.pi) != unstable[0] - unstable[1]
@@ -157,14 +159,14 @@ def on_grid(one: StateSpace, other: StateSpace) -> float:
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 3), (3, 2)])
 def test_agrees_with_a_dense_grid(shape: tuple[int, int]) -> None:
-    found = []
+    gaps = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        one = random_plant(rng, 3, *shape, bool(seed % 2))
-        other = near(rng, one, 0.03)
-        found.append(matrix_nu_gap(one, other))
-        assert found[-1] == pytest.approx(on_grid(one, other), rel=1e-3), seed
-    assert min(found) < 0.9
+        first = random_plant(rng, 3, *shape, bool(seed % 2))
+        second = near(rng, first, 0.03)
+        gaps.append(matrix_nu_gap(first, second))
+        assert gaps[-1] == pytest.approx(on_grid(first, second), rel=1e-3), seed
+    assert min(gaps) < 0.9
 
 
 @given(seeds, st.booleans())
@@ -206,12 +208,12 @@ def test_what_is_nearer_than_the_margin_is_stabilised(seed: int, discrete: bool)
     margin = matrix_margin(plant, controller)
     assert (margin > 0) == is_stable(plant, controller)
     assert matrix_margin(controller, plant) == pytest.approx(margin, abs=1e-8)
-    other = near(rng, plant, 10 ** rng.uniform(-2.5, -0.5))
-    gap = matrix_nu_gap(plant, other)
+    neighbour = near(rng, plant, 10 ** rng.uniform(-2.5, -0.5))
+    gap = matrix_nu_gap(plant, neighbour)
     if gap < margin:
-        assert is_stable(other, controller)
+        assert is_stable(neighbour, controller)
         angle = np.arcsin(margin) - np.arcsin(gap)
-        assert np.arcsin(matrix_margin(other, controller)) >= angle - 1e-7
+        assert np.arcsin(matrix_margin(neighbour, controller)) >= angle - 1e-7
 
 
 def test_common_integrators_and_hidden_modes_change_nothing() -> None:
@@ -237,18 +239,18 @@ def test_common_integrators_and_hidden_modes_change_nothing() -> None:
 
 def test_a_pole_at_minus_one_has_a_place() -> None:
     for poles in ([-1.0, 0.5], [-1.0, 1.0]):
-        one, other = (
+        first, second = (
             StateSpace(np.diag(poles), np.eye(2), k * np.eye(2), np.zeros((2, 2)), 1.0) for k in (1.0, 1.3)
         )
         exact = max(nu_gap(*(space([k], [1, -pole], 1.0) for k in (1.0, 1.3))) for pole in poles)
-        assert matrix_nu_gap(one, other) == pytest.approx(exact, abs=1e-9)
+        assert matrix_nu_gap(first, second) == pytest.approx(exact, abs=1e-9)
 
 
 def test_small_gaps_keep_their_digits() -> None:
     plant = random_plant(np.random.default_rng(1), 4, 2, 2, False, unstable=0.0)
-    by = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 1e-8))
-    half = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 0.5e-8))
-    assert matrix_nu_gap(plant, by) == pytest.approx(2 * matrix_nu_gap(plant, half), rel=1e-6)
+    shifted = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 1e-8))
+    half_shifted = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 0.5e-8))
+    assert matrix_nu_gap(plant, shifted) == pytest.approx(2 * matrix_nu_gap(plant, half_shifted), rel=1e-6)
 
 
 def test_margin_of_a_loop_with_unit_gain_is_its_disk_margin() -> None:
@@ -314,11 +316,11 @@ def test_the_best_units_prove_most() -> None:
     family = [near(rng, plant, 0.02) for _ in range(2)]
     at_rest = plant.C @ np.linalg.inv(np.eye(2) - plant.A) @ plant.B
     controller = StateSpace(np.eye(2), np.eye(2), 0.1 * np.linalg.inv(at_rest), np.zeros((2, 2)), 1.0)
-    found = best_scaling(plant, family, controller)
-    assert found.holds
-    assert found.margin == pytest.approx(
+    scaling = best_scaling(plant, family, controller)
+    assert scaling.holds
+    assert scaling.margin == pytest.approx(
         matrix_margin(
-            plant.scaled(found.outputs, found.inputs), controller.scaled(found.inputs, found.outputs)
+            plant.scaled(scaling.outputs, scaling.inputs), controller.scaled(scaling.inputs, scaling.outputs)
         )
     )
 
@@ -330,9 +332,11 @@ def test_the_best_units_prove_most() -> None:
         scaled = plant.scaled(y, u)
         margin = matrix_margin(scaled, controller.scaled(u, y))
         gap = max(matrix_nu_gap(scaled, member.scaled(y, u)) for member in family)
-        assert slack(margin, gap) <= slack(found.margin, found.gap) + 0.01
-    again = best_scaling(plant, family, controller, outputs=[30.0, 3.0], inputs=[1.0, 0.2])
-    assert slack(again.margin, again.gap) == pytest.approx(slack(found.margin, found.gap), abs=0.02)
+        assert slack(margin, gap) <= slack(scaling.margin, scaling.gap) + 0.01
+    from_other_units = best_scaling(plant, family, controller, outputs=[30.0, 3.0], inputs=[1.0, 0.2])
+    assert slack(from_other_units.margin, from_other_units.gap) == pytest.approx(
+        slack(scaling.margin, scaling.gap), abs=0.02
+    )
     destabilising = controller.scaled([1.0, 1.0], [-50.0, -50.0])
     assert best_scaling(plant, family, destabilising).margin == 0
 
@@ -344,8 +348,8 @@ def test_sizes_are_the_largest_singular_values(seed: int, p: int, m: int, apart:
     matrices = rng.standard_normal((5, p, m)) + 1j * rng.standard_normal((5, p, m))
     u, s, v = np.linalg.svd(matrices, full_matrices=False)
     close = u @ ((1.0 + apart * s)[:, :, None] * v)
-    for each in (matrices, close):
-        assert sizes_of(each) == pytest.approx(np.linalg.svd(each, compute_uv=False)[:, 0], rel=1e-13)
+    for stack in (matrices, close):
+        assert sizes_of(stack) == pytest.approx(np.linalg.svd(stack, compute_uv=False)[:, 0], rel=1e-13)
 
 
 def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
@@ -357,11 +361,17 @@ def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
     y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
     kit = fit_session(TCLabBoth.model(), Window(np.zeros_like(y), y, u)).parameters
-    draws = [dict.fromkeys(("losses", "heating", "second_heating"), by) for by in (0.95, 1.05)]
+    draws = [dict.fromkeys(("losses", "heating", "second_heating"), factor) for factor in (0.95, 1.05)]
     draws += [{"exchange": 0.9, "sensor_lag": 1.1}, {"exchange": 1.1, "sensor_lag": 0.9}]
-    at = recorded["y0"].ravel()
+    operating_point = recorded["y0"].ravel()
     plant, *family = (
-        StateSpace.of(linearised(kit.replace(**{name: by * kit[name] for name, by in draw.items()}), at, 1.0))
+        StateSpace.of(
+            linearised(
+                kit.replace(**{name: factor * kit[name] for name, factor in draw.items()}),
+                operating_point,
+                1.0,
+            )
+        )
         for draw in ({}, *draws)
     )
     controller = lqg(recorded)
@@ -370,9 +380,9 @@ def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
     tenths = matrix_margin(plant.scaled([0.1] * 2, [1] * 2), controller.scaled([1] * 2, [0.1] * 2))
     assert 0.12 < spans < 0.17
     assert 0.28 < tenths < 0.39
-    found = best_scaling(plant, family, controller)
-    assert found.holds
-    assert found.margin > 0.99 * tenths
+    scaling = best_scaling(plant, family, controller)
+    assert scaling.holds
+    assert scaling.margin > 0.99 * tenths
 
 
 def lqg(of: dict[str, np.ndarray]) -> StateSpace:

@@ -301,23 +301,23 @@ def test_responses_are_those_of_an_integrator() -> None:
 
 def test_a_family_of_integrators_has_distances_with_intervals() -> None:
     """Twins with the same integrator differ at higher frequencies only."""
-    one = Servo.model("free").parameters(k=50.0, t=0.12)
-    other = one.replace(t=0.2)
-    known = np.diag([0.1, 1e-3]) ** 2
-    twins = [Candidate("", 0.0, servo, None, ("k", "t"), known) for servo in (one, other)]
-    gaps = plant_gaps([one, other], POINTS, TERMS)
-    found = family_uncertainty(twins, gaps, TERMS, seed=1)
-    low = found.nu_gap_low[0, 1]
-    high = found.nu_gap_high[0, 1]
+    quick = Servo.model("free").parameters(k=50.0, t=0.12)
+    slow = quick.replace(t=0.2)
+    covariance = np.diag([0.1, 1e-3]) ** 2
+    twins = [Candidate("", 0.0, servo, None, ("k", "t"), covariance) for servo in (quick, slow)]
+    gaps = plant_gaps([quick, slow], POINTS, TERMS)
+    uncertainty = family_uncertainty(twins, gaps, TERMS, seed=1)
+    low = uncertainty.nu_gap_low[0, 1]
+    high = uncertainty.nu_gap_high[0, 1]
     assert 0.0 < low < gaps.matrix[0, 1] < high < 1.0
 
 
 def test_published_weights() -> None:
     """Printed on the reference page of `ic_weights` in the R package tidySEM."""
-    found = akaike_weights([100, 200, 102, 300])
+    akaike = akaike_weights([100, 200, 102, 300])
     expected = [7.310586e-01, 1.410029e-22, 2.689414e-01, 2.719593e-44]
-    np.testing.assert_allclose(found.weights, expected, rtol=5e-7)
-    np.testing.assert_array_equal(found.differences, [0, 100, 2, 200])
+    np.testing.assert_allclose(akaike.weights, expected, rtol=5e-7)
+    np.testing.assert_array_equal(akaike.differences, [0, 100, 2, 200])
 
 
 def test_evidence_ratios() -> None:
@@ -328,11 +328,11 @@ def test_evidence_ratios() -> None:
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=8), st.floats(-1e3, 1e3))
 def test_weights_are_shares_that_only_differences_decide(values: list[float], shift: float) -> None:
-    found = akaike_weights(values)
-    assert found.weights.sum() == pytest.approx(1.0)
-    assert found.differences.min() == 0.0
-    assert found.weights[np.argmin(values)] == found.weights.max()
-    np.testing.assert_allclose(akaike_weights(np.array(values) + shift).weights, found.weights, atol=1e-9)
+    akaike = akaike_weights(values)
+    assert akaike.weights.sum() == pytest.approx(1.0)
+    assert akaike.differences.min() == 0.0
+    assert akaike.weights[np.argmin(values)] == akaike.weights.max()
+    np.testing.assert_allclose(akaike_weights(np.array(values) + shift).weights, akaike.weights, atol=1e-9)
 
 
 def test_a_perfect_prediction_takes_all() -> None:

@@ -57,12 +57,12 @@ def largest(p1: Fractions, p2: Fractions, discrete: bool) -> object:
         low = mp.mpf(NODES[k - 1])
         high = mp.mpf(NODES[k + 1])
         for _ in range(32):
-            left = high - golden * (high - low)
-            right = low + golden * (high - low)
-            if distance(p1, p2, left, discrete) > distance(p1, p2, right, discrete):
-                high = right
+            inner_low = high - golden * (high - low)
+            inner_high = low + golden * (high - low)
+            if distance(p1, p2, inner_low, discrete) > distance(p1, p2, inner_high, discrete):
+                high = inner_high
             else:
-                low = left
+                low = inner_low
         best = max(best, distance(p1, p2, (low + high) / 2, discrete))
     return best
 
@@ -79,9 +79,9 @@ def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
     """Roots of d2~ d1 + N2~ N1 on the stable side: as many as the order of the first model."""
 
     def column(p: Fractions) -> list[list[object]]:
-        (n, d), *more = [([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in d]) for n, d in p]
+        (n, d), *further = [([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in d]) for n, d in p]
         whole = [d, n]
-        for n_more, d_more in more:
+        for n_more, d_more in further:
             if d_more == d:
                 whole.append(n_more)
             else:
@@ -130,12 +130,12 @@ def random_model(rng: np.random.Generator, order: int, discrete: bool, outputs: 
 
 
 def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
-    same = all(np.array_equal(d, p[0][1]) for _, d in p)
+    share_denominator = all(np.array_equal(d, p[0][1]) for _, d in p)
     shared = p[0][1] * (1 + size * rng.standard_normal(p[0][1].size))
     return [
         (
             n * (1 + size * rng.standard_normal(n.size)),
-            shared if same else d * (1 + size * rng.standard_normal(d.size)),
+            shared if share_denominator else d * (1 + size * rng.standard_normal(d.size)),
         )
         for n, d in p
     ]

@@ -82,14 +82,14 @@ def brute_force(one: Parameters, other: Parameters, point: float) -> float:
 
 def tick_response(twin: Parameters, point: float, z: FloatArray) -> FloatArray:
     """b/(z − a) of a plate on a held sink."""
-    rest = rest_at(twin, point)
+    at_rest = rest_at(twin, point)
     h = 1e-3
 
     def after(states: FloatArray, u: float) -> float:
         return float(advance(twin, states, u, 1.0)[0])
 
-    a = (after(rest.states + h, rest.input) - after(rest.states - h, rest.input)) / (2 * h)
-    b = (after(rest.states, rest.input + h) - after(rest.states, rest.input - h)) / (2 * h)
+    a = (after(at_rest.states + h, at_rest.input) - after(at_rest.states - h, at_rest.input)) / (2 * h)
+    b = (after(at_rest.states, at_rest.input + h) - after(at_rest.states, at_rest.input - h)) / (2 * h)
     return b / (z - a)
 
 
@@ -100,12 +100,12 @@ def test_it_is_the_largest_chordal_distance_of_the_physics(point: float) -> None
 
 
 def test_over_points_it_is_the_largest() -> None:
-    found = plant_gaps([ONE, OTHER], POINTS, TERMS)
-    assert found.points == POINTS
-    assert found.left_out == ()
+    gaps = plant_gaps([ONE, OTHER], POINTS, TERMS)
+    assert gaps.points == POINTS
+    assert gaps.left_out == ()
     single = [plant_gap(ONE, OTHER, [point], TERMS) for point in POINTS]
-    assert found.at[:, 0, 1].tolist() == single
-    assert found.matrix[0, 1] == max(single)
+    assert gaps.at[:, 0, 1].tolist() == single
+    assert gaps.matrix[0, 1] == max(single)
 
 
 @settings(max_examples=30, deadline=None)
@@ -133,9 +133,9 @@ def test_it_does_not_depend_on_order_or_common_units(
 @settings(max_examples=20, deadline=None)
 @given(plates())
 def test_equal_twins_are_at_no_distance(twin: Parameters) -> None:
-    again = twin.model.parameters(**twin)
-    assert again is not twin
-    assert plant_gap(twin, again, POINTS, TERMS) == 0.0
+    equal_twin = twin.model.parameters(**twin)
+    assert equal_twin is not twin
+    assert plant_gap(twin, equal_twin, POINTS, TERMS) == 0.0
 
 
 def test_what_a_plant_is_called_does_not_matter() -> None:
@@ -163,15 +163,15 @@ def test_a_twin_that_cannot_rest_is_taken_as_the_loop_holds_it() -> None:
     adrift = RICH.parameters(sink_heat_capacity=2000.0, sink_convection=0.5)
     with pytest.raises(PlantError, match="no PWM between"):
         rest_at(adrift, 70.0)
-    found = plant_gaps([ONE, adrift], [70.0], TERMS)
-    assert found.points == (70.0,)
-    assert 0.0 < found.matrix[0, 1] < 1.0
+    gaps = plant_gaps([ONE, adrift], [70.0], TERMS)
+    assert gaps.points == (70.0,)
+    assert 0.0 < gaps.matrix[0, 1] < 1.0
 
 
 def test_beyond_the_drive_it_is_taken_where_the_drive_holds_it() -> None:
-    found = linearised_in_loop(ONE, 300.0, TERMS)
-    assert found.rest.input == 255.0
-    top = found.rest.states[0] - 273.15
+    linear = linearised_in_loop(ONE, 300.0, TERMS)
+    assert linear.rest.input == 255.0
+    top = linear.rest.states[0] - 273.15
     assert 80.0 < top < 300.0
     assert plant_gap(ONE, OTHER, [300.0], TERMS) < 1.0
 
@@ -179,11 +179,11 @@ def test_beyond_the_drive_it_is_taken_where_the_drive_holds_it() -> None:
 def test_a_point_at_which_one_twin_has_no_plant_is_left_out_for_all() -> None:
     """A plate without heat capacity is too fast for samples of a second."""
     hopeless = MODEL.parameters(heat_capacity=1e-9)
-    found = plant_gaps([ONE, OTHER, hopeless], POINTS, TERMS)
-    assert found.points == ()
-    assert len(found.left_out) == 4
-    assert "too short for a period of 1 s" in found.left_out[0]
-    np.testing.assert_array_equal(found.matrix, 1.0 - np.eye(3))
+    gaps = plant_gaps([ONE, OTHER, hopeless], POINTS, TERMS)
+    assert gaps.points == ()
+    assert len(gaps.left_out) == 4
+    assert "too short for a period of 1 s" in gaps.left_out[0]
+    np.testing.assert_array_equal(gaps.matrix, 1.0 - np.eye(3))
     with pytest.raises(PlantError):
         symbol_in_loop(hopeless, 50.0, TERMS)
 
@@ -218,9 +218,9 @@ def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float)
         for sign in (1, -1)
     ]
     difference = np.subtract(*(response_slopes(m, (), point, TERMS)[0] for m in moved)) / 1e-2
-    found = sum(scale * row for scale, row in zip(scales.values(), slopes, strict=True))
+    slope = sum(scale * row for scale, row in zip(scales.values(), slopes, strict=True))
     assert response.shape == ANGLES.shape
-    np.testing.assert_allclose(found, difference, atol=0.03 * np.abs(difference).max())
+    np.testing.assert_allclose(slope, difference, atol=0.03 * np.abs(difference).max())
 
 
 def test_a_parameter_on_the_edge_of_what_is_possible_has_a_slope() -> None:
@@ -232,11 +232,11 @@ def test_a_parameter_on_the_edge_of_what_is_possible_has_a_slope() -> None:
 
 
 def test_at_rest_the_linearisation_is_that_of_the_rest() -> None:
-    at = linearised_in_loop(ONE, 50.0, TERMS)
-    rest = linearised(ONE, 50.0, 1.0)
-    np.testing.assert_allclose(at.rest.states, rest.rest.states, atol=1e-3)
-    np.testing.assert_allclose(at.A, rest.A, rtol=1e-5)
-    np.testing.assert_allclose(at.B, rest.B, rtol=1e-4)
+    in_loop = linearised_in_loop(ONE, 50.0, TERMS)
+    at_rest = linearised(ONE, 50.0, 1.0)
+    np.testing.assert_allclose(in_loop.rest.states, at_rest.rest.states, atol=1e-3)
+    np.testing.assert_allclose(in_loop.A, at_rest.A, rtol=1e-5)
+    np.testing.assert_allclose(in_loop.B, at_rest.B, rtol=1e-4)
 
 
 def test_it_ranks_how_differently_twins_behave() -> None:
@@ -320,8 +320,8 @@ def loss_behind(cell: float, row: Row) -> float:
 def test_bic_column_follows_from_the_naic_column(row: Row, output: int) -> None:
     """All 24 cells. A published nAIC is known to half its last digit: N times that, in BIC."""
     samples = SAMPLES[row.set_point]
-    found = bic(loss_behind(row.naic[output], row), 6 * row.order, samples)
-    assert found == pytest.approx(row.bic[output], abs=0.005 * samples + 0.005)
+    computed = bic(loss_behind(row.naic[output], row), 6 * row.order, samples)
+    assert computed == pytest.approx(row.bic[output], abs=0.005 * samples + 0.005)
 
 
 @pytest.mark.parametrize("row", [row for row in COMPLETE if row.order < 5])
@@ -333,8 +333,8 @@ def test_mdl_column_follows_from_the_naic_of_the_control_signal(row: Row) -> Non
     """
     samples = SAMPLES[row.set_point]
     v = loss_behind(row.naic[1], row)
-    found = mdl(v, 6 * row.order, samples)
-    assert 0.97 * row.mdl < found < 1.006 * row.mdl
+    computed = mdl(v, 6 * row.order, samples)
+    assert 0.97 * row.mdl < computed < 1.006 * row.mdl
     printed = v * (1 + 6 * row.order / samples) * math.log(samples)
     assert 4 < printed / row.mdl < 10
 
@@ -377,10 +377,10 @@ def test_regimes_never_overlap_and_the_newest_is_always_in(points: list[float], 
     family = Family(most=most)
     for k, point in enumerate(points):
         family.admit(candidate(point, f"{k}"))
-        held = family.candidates
-        assert len(held) <= most
-        assert f"{k}" in {c.name for c in held}
-        assert [c.operating_point for c in held] == sorted(c.operating_point for c in held)
+        candidates = family.candidates
+        assert len(candidates) <= most
+        assert f"{k}" in {c.name for c in candidates}
+        assert [c.operating_point for c in candidates] == sorted(c.operating_point for c in candidates)
         standing = family.standing_at(point)
         assert standing is not None
         assert abs(standing.operating_point - point) < family.regime_width / 2

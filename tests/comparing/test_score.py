@@ -124,10 +124,10 @@ def test_models_of_the_loop_have_its_gain_and_its_poles_inside() -> None:
 
 def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_wrong_one() -> None:
     window = measured()
-    own = identify(window)[0]
-    slow = identify(measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
-    right = score(own, window, absolute=KELVIN)
-    wrong = score(slow, window, absolute=KELVIN)
+    right_model = identify(window)[0]
+    wrong_model = identify(measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
+    right = score(right_model, window, absolute=KELVIN)
+    wrong = score(wrong_model, window, absolute=KELVIN)
     assert right.y.gain > wrong.y.gain
     assert right.y.naic < wrong.y.naic
     assert 0.0 < right.y.explanation < 1.0
@@ -229,8 +229,8 @@ def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int
     still = directions(np.array([p1, p2]))
     a, b, c = disturbed_pair(still[0], still[1], directions(m1), directions(m2))
     np.testing.assert_allclose(np.sqrt(a), chordal(p1, p2), rtol=1e-9)
-    found = estimates(np.array([0]), a[None], b[None], c[None], 1.0)
-    np.testing.assert_allclose(found, chordal(m1, m2).max(axis=1), rtol=1e-9)
+    distances = estimates(np.array([0]), a[None], b[None], c[None], 1.0)
+    np.testing.assert_allclose(distances, chordal(m1, m2).max(axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -261,15 +261,15 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
     lag = 0.2 / (z - 0.9)
     near = np.concatenate([lag, lag])
     far = np.concatenate([lag, -lag])
-    still, other = directions(np.array([near, 1.1 * near]))
+    first, second = directions(np.array([near, 1.1 * near]))
     moved = directions(np.array([near, near])), directions(np.array([1.1 * near, 1.1 * far]))
-    a, _, c = disturbed_pair(still, other, *moved)
-    assert failing_draws(a, c, (still, other), moved, np.zeros(2, dtype=bool)).tolist() == [False, True]
+    a, _, c = disturbed_pair(first, second, *moved)
+    assert failing_draws(a, c, (first, second), moved, np.zeros(2, dtype=bool)).tolist() == [False, True]
     # and where it had failed without the draws, that draw makes it whole
     across = directions(np.array([1.1 * far]))[0]
-    a, _, c = disturbed_pair(still, across, *moved)
+    a, _, c = disturbed_pair(first, across, *moved)
     failed = np.array([False, True])
-    assert failing_draws(a, c, (still, across), moved, failed).tolist() == [False, True]
+    assert failing_draws(a, c, (first, across), moved, failed).tolist() == [False, True]
 
 
 def test_scales_of_a_known_spread() -> None:
@@ -288,16 +288,16 @@ def test_what_noise_alone_explains_may_be_nothing() -> None:
     e = 0.1 * (rng.normal(size=(1, 400, 20)) + 1j * rng.normal(size=(1, 400, 20)))
     # In the order of the arrays that twins give, or kernels would be compiled for another one.
     moved = np.ascontiguousarray(np.swapaxes(e, 1, 2))
-    held = []
+    may_be_equal = []
     for _ in range(60):
         v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))  # estimated: noise again
         a = np.abs(v) ** 2
         b = 2 * (v.conj()[:, :, None] * moved).real
         c = np.abs(moved) ** 2
         least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
-        held.append(least == 0.0)
+        may_be_equal.append(least == 0.0)
         assert most < 3.0
-    assert 0.85 <= np.mean(held) < 1.0
+    assert 0.85 <= np.mean(may_be_equal) < 1.0
 
 
 # How certain a verdict is, on twins of simulated rigs.
@@ -332,8 +332,8 @@ def judged(
 ) -> Certainty:
     candidates = [scored(name, rig) for name, rig in RIGS.items()][:family]
     terms = TERMS if gains is None else TERMS._replace(law=gains)
-    known = twins(factor)[:family]
-    return judge_uncertainty(candidates, known, gaps(known), nominal, terms)
+    members = twins(factor)[:family]
+    return judge_uncertainty(candidates, members, gaps(members), nominal, terms)
 
 
 def smallest_sum() -> str:
@@ -341,19 +341,19 @@ def smallest_sum() -> str:
 
 
 def test_every_field_is_filled_with_what_its_source_says() -> None:
-    found = judged()
-    known = family_uncertainty(twins(), gaps(twins()), TERMS)
+    judgement = judged()
+    uncertainty = family_uncertainty(twins(), gaps(twins()), TERMS)
     nominal = loop_plant(RIGS["70 °C"], 70.0)
     controller = loop_controller(law_of(Peltier, 1.0))
-    for k, (candidate, rig) in enumerate(zip(found.candidates, RIGS.values(), strict=True)):
+    for k, (candidate, rig) in enumerate(zip(judgement.candidates, RIGS.values(), strict=True)):
         plant = loop_plant(rig, candidate.operating_point)
         assert candidate.margin == stability_margin(plant, controller)
         assert candidate.plant_gap_to_nominal == nu_gap(plant, nominal)
-        assert candidate.nu_gap_low == tuple(known.nu_gap_low[k])
-        assert candidate.nu_gap_high == tuple(known.nu_gap_high[k])
-        assert candidate.nu_gap_sum_low == known.sum_low[k]
-        assert candidate.nu_gap_sum_high == known.sum_high[k]
-        assert candidate.nominal_probability == known.nominal_probability[k]
+        assert candidate.nu_gap_low == tuple(uncertainty.nu_gap_low[k])
+        assert candidate.nu_gap_high == tuple(uncertainty.nu_gap_high[k])
+        assert candidate.nu_gap_sum_low == uncertainty.sum_low[k]
+        assert candidate.nu_gap_sum_high == uncertainty.sum_high[k]
+        assert candidate.nominal_probability == uncertainty.nominal_probability[k]
         assert candidate.nu_gap_sum == 0.1  # what was there stays
 
 
@@ -380,11 +380,11 @@ def other() -> str:
 def test_how_certain_the_choice_is_in_words(
     nominal: Callable[[], str], factor: float, words: list[str]
 ) -> None:
-    found = judged(nominal(), factor=factor)
-    for said in words:
-        assert said.format(smallest_sum(), other()) in found.certainty
-    chosen = next(c for c in found.candidates if c.name == nominal())
-    assert (chosen.nominal_probability >= 0.9) == ("decide" not in found.certainty)
+    judgement = judged(nominal(), factor=factor)
+    for phrase in words:
+        assert phrase.format(smallest_sum(), other()) in judgement.certainty
+    chosen = next(c for c in judgement.candidates if c.name == nominal())
+    assert (chosen.nominal_probability >= 0.9) == ("decide" not in judgement.certainty)
 
 
 def test_a_single_candidate_leaves_no_choice() -> None:
@@ -397,9 +397,9 @@ def test_a_single_candidate_leaves_no_choice() -> None:
 
 def test_a_controller_that_is_too_hot_holds_nothing() -> None:
     hot = replace(Peltier.loop, proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
-    found = judged(gains=hot)
-    assert [c.margin for c in found.candidates] == [0.0, 0.0, 0.0]
-    assert found.certainty.endswith("; the controller does not stabilise it")
+    judgement = judged(gains=hot)
+    assert [c.margin for c in judgement.candidates] == [0.0, 0.0, 0.0]
+    assert judgement.certainty.endswith("; the controller does not stabilise it")
 
 
 def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
@@ -411,44 +411,47 @@ def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
         candidates = [scored(name, rig) for name, rig in rigs.items()]
         return judge_uncertainty(candidates, family, matrix, "70 °C", TERMS)
 
-    found = with_capacity(12.0)  # half the heat capacity, twice the gain: held, but far away
-    assert found.candidates[2].plant_gap_to_nominal > found.candidates[1].margin > 0
-    assert found.candidates[2].margin > 0
-    assert "which excludes 90 °C (0." in found.certainty
-    found = with_capacity(0.4)
-    assert found.candidates[2].margin == 0.0
-    assert found.certainty.endswith(", but not 90 °C")
+    judgement = with_capacity(12.0)  # half the heat capacity, twice the gain: held, but far away
+    assert judgement.candidates[2].plant_gap_to_nominal > judgement.candidates[1].margin > 0
+    assert judgement.candidates[2].margin > 0
+    assert "which excludes 90 °C (0." in judgement.certainty
+    judgement = with_capacity(0.4)
+    assert judgement.candidates[2].margin == 0.0
+    assert judgement.certainty.endswith(", but not 90 °C")
 
 
 def test_a_candidate_out_of_reach_has_no_margin() -> None:
     candidates = [scored(name, rig) for name, rig in RIGS.items()]
     candidates[0] = scored("50 °C", RIGS["50 °C"], operating_point=300.0)
-    found = judge_uncertainty(candidates, twins(), gaps(twins()), "70 °C", TERMS)
-    assert found.candidates[0].margin is None
-    assert found.candidates[0].plant_gap_to_nominal is None
-    assert found.candidates[1].margin is not None
-    found = judge_uncertainty(candidates, twins(), gaps(twins()), "50 °C", TERMS)
+    judgement = judge_uncertainty(candidates, twins(), gaps(twins()), "70 °C", TERMS)
+    assert judgement.candidates[0].margin is None
+    assert judgement.candidates[0].plant_gap_to_nominal is None
+    assert judgement.candidates[1].margin is not None
+    judgement = judge_uncertainty(candidates, twins(), gaps(twins()), "50 °C", TERMS)
     assert (
-        "the controller has no margin for it, because no input holds it at its set-point" in found.certainty
+        "the controller has no margin for it, because no input holds it at its set-point"
+        in judgement.certainty
     )
-    assert found.candidates[1].plant_gap_to_nominal is None
+    assert judgement.candidates[1].plant_gap_to_nominal is None
 
 
 def test_given_candidates_are_exact() -> None:
     """They have no covariance, so nothing is left open."""
     candidates = [scored(name, rig) for name, rig in RIGS.items()]
     exact = [Candidate(name, 0.0, rig, None) for name, rig in RIGS.items()]
-    found = judge_uncertainty(candidates, exact, gaps(exact), smallest_sum(), TERMS)
-    assert found.certainty.startswith(f"{smallest_sum()} is nominal with probability above 0.99")
-    assert all(c.nu_gap_low == c.nu_gap_high for c in found.candidates)
+    judgement = judge_uncertainty(candidates, exact, gaps(exact), smallest_sum(), TERMS)
+    assert judgement.certainty.startswith(f"{smallest_sum()} is nominal with probability above 0.99")
+    assert all(c.nu_gap_low == c.nu_gap_high for c in judgement.candidates)
 
 
 def test_points_at_which_a_candidate_has_no_plant_are_reported() -> None:
     hopeless = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=1e-9)}
     family = [Candidate(name, 0.0, rig, None) for name, rig in hopeless.items()]
     candidates = [scored(name, rig) for name, rig in hopeless.items()]
-    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
-    assert "; not compared everywhere: Peltier rig, held sink: its shortest time constant" in found.certainty
+    judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
+    assert (
+        "; not compared everywhere: Peltier rig, held sink: its shortest time constant" in judgement.certainty
+    )
 
 
 def test_without_a_nominal_there_is_nothing_to_say() -> None:
@@ -458,8 +461,8 @@ def test_without_a_nominal_there_is_nothing_to_say() -> None:
 def test_of_two_the_plant_is_asked() -> None:
     family = twins(1e-2)[:2]
     candidates = [scored(name, RIGS[name]) for name in list(RIGS)[:2]]
-    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"])
-    assert found.certainty.startswith("50 °C is nominal with probability")
-    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
-    assert found.certainty.startswith("the data do not decide")
-    assert found.candidates[0].nominal_probability == pytest.approx(0.5)
+    judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"])
+    assert judgement.certainty.startswith("50 °C is nominal with probability")
+    judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
+    assert judgement.certainty.startswith("the data do not decide")
+    assert judgement.candidates[0].nominal_probability == pytest.approx(0.5)

@@ -40,9 +40,9 @@ def matched(rig: Parameters, step: tuple[float, float], rng: np.random.Generator
         reference = np.repeat(step, [60, 240])
         sensor = Peltier.sensor.realise(reference.size, 1.0, int(rng.integers(10**9)))
         run = simulate_closed_loop(rig, reference, states=begin(rig, step[0]), sensor=sensor)
-        found = match(Window(reference, run.output, run.input), start=MODEL.parameters())
-        if found.accepted:
-            return Candidate("", 0.0, found.parameters, None, *found.of_parameters())
+        a_match = match(Window(reference, run.output, run.input), start=MODEL.parameters())
+        if a_match.accepted:
+            return Candidate("", 0.0, a_match.parameters, None, *a_match.of_parameters())
 
 
 def apart(twins: Sequence[Candidate | Parameters]) -> PlantGaps:
@@ -75,12 +75,12 @@ def coverage(rigs: Sequence[Parameters], families: int, seed: int = 1) -> Covera
     right = []
     for _ in range(families):
         twins = [matched(rig, step, rng) for rig, step in zip(rigs, STEPS, strict=True)]
-        found = apart(twins)
-        known = family_uncertainty(twins, found, TERMS)
-        gaps.append(((known.nu_gap_low <= true) & (true <= known.nu_gap_high))[pairs])
-        sums.append((known.sum_low <= total) & (total <= known.sum_high))
-        choice = int(np.argmin(found.matrix.sum(axis=0)))
-        chosen.append(known.nominal_probability[choice])
+        twin_gaps = apart(twins)
+        uncertainty = family_uncertainty(twins, twin_gaps, TERMS)
+        gaps.append(((uncertainty.nu_gap_low <= true) & (true <= uncertainty.nu_gap_high))[pairs])
+        sums.append((uncertainty.sum_low <= total) & (total <= uncertainty.sum_high))
+        choice = int(np.argmin(twin_gaps.matrix.sum(axis=0)))
+        chosen.append(uncertainty.nominal_probability[choice])
         right.append(choice == np.argmin(total))
     sure = np.array(chosen) >= DECIDED_FROM
     sure_right = np.array(right)[sure] if sure.any() else [np.nan]
@@ -89,19 +89,19 @@ def coverage(rigs: Sequence[Parameters], families: int, seed: int = 1) -> Covera
 
 def test_nine_in_ten_intervals_hold_the_truth() -> None:
     """With 25 families and 3 gaps each the share itself is uncertain by 0.04 or so."""
-    found = coverage(RIGS, 25)
-    assert 0.8 <= found.gaps <= 1.0
-    assert 0.8 <= found.sums <= 1.0
+    shares = coverage(RIGS, 25)
+    assert 0.8 <= shares.gaps <= 1.0
+    assert 0.8 <= shares.sums <= 1.0
     # these rigs differ by more than what a match leaves open
-    assert found.right == 1.0
-    assert found.chosen > 0.9
+    assert shares.right == 1.0
+    assert shares.chosen > 0.9
 
 
 def test_matches_of_one_rig_may_be_equal_and_decide_nothing() -> None:
     """Their ν-gap is never found to be 0, but the intervals say that it may be."""
-    found = coverage([RIGS[0]] * 3, 15, seed=2)
-    assert found.gaps >= 0.8
-    assert found.decided <= 0.3
+    shares = coverage([RIGS[0]] * 3, 15, seed=2)
+    assert shares.gaps >= 0.8
+    assert shares.decided <= 0.3
 
 
 @cache
@@ -116,33 +116,33 @@ def family(factor: float = 1.0) -> tuple[list[Candidate], PlantGaps]:
 
 
 def test_it_is_consistent_in_itself() -> None:
-    twins, found = family()
-    gaps = found.matrix
-    known = family_uncertainty(twins, found, TERMS)
-    for matrix in (known.nu_gap_low, known.nu_gap_high):
+    twins, twin_gaps = family()
+    gaps = twin_gaps.matrix
+    uncertainty = family_uncertainty(twins, twin_gaps, TERMS)
+    for matrix in (uncertainty.nu_gap_low, uncertainty.nu_gap_high):
         np.testing.assert_array_equal(matrix, matrix.T)
         assert np.all(np.diag(matrix) == 0)
-    assert np.all((known.nu_gap_low <= gaps) & (gaps <= known.nu_gap_high))
-    assert np.all((known.sum_low <= gaps.sum(axis=0)) & (gaps.sum(axis=0) <= known.sum_high))
+    assert np.all((uncertainty.nu_gap_low <= gaps) & (gaps <= uncertainty.nu_gap_high))
+    assert np.all((uncertainty.sum_low <= gaps.sum(axis=0)) & (gaps.sum(axis=0) <= uncertainty.sum_high))
     # errors of different pairs do not all go the same way; ends near zero are coarse
-    assert np.all(known.sum_low >= known.nu_gap_low.sum(axis=0) - 0.03)
-    assert np.all(known.sum_high <= known.nu_gap_high.sum(axis=0) + 0.03)
-    assert known.nominal_probability.sum() == pytest.approx(1.0)
+    assert np.all(uncertainty.sum_low >= uncertainty.nu_gap_low.sum(axis=0) - 0.03)
+    assert np.all(uncertainty.sum_high <= uncertainty.nu_gap_high.sum(axis=0) + 0.03)
+    assert uncertainty.nominal_probability.sum() == pytest.approx(1.0)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_nearly_the_same() -> None:
     twins, gaps = family()
-    first, again, other = (family_uncertainty(twins, gaps, TERMS, seed=s) for s in (5, 5, 6))
-    np.testing.assert_array_equal(first.nu_gap_high, again.nu_gap_high)
-    np.testing.assert_array_equal(first.nominal_probability, again.nominal_probability)
-    assert not np.array_equal(first.nu_gap_high, other.nu_gap_high)
-    np.testing.assert_allclose(first.nu_gap_high, other.nu_gap_high, rtol=0.25)
+    first, repeated, another_seed = (family_uncertainty(twins, gaps, TERMS, seed=s) for s in (5, 5, 6))
+    np.testing.assert_array_equal(first.nu_gap_high, repeated.nu_gap_high)
+    np.testing.assert_array_equal(first.nominal_probability, repeated.nominal_probability)
+    assert not np.array_equal(first.nu_gap_high, another_seed.nu_gap_high)
+    np.testing.assert_allclose(first.nu_gap_high, another_seed.nu_gap_high, rtol=0.25)
 
 
 def test_the_width_goes_with_the_standard_errors() -> None:
     pair = np.triu_indices(3, 1)
-    found = [family_uncertainty(*family(f), TERMS) for f in (1e-2, 1e-4)]
-    widths = [(k.nu_gap_high - k.nu_gap_low)[pair] for k in found]
+    uncertainties = [family_uncertainty(*family(f), TERMS) for f in (1e-2, 1e-4)]
+    widths = [(k.nu_gap_high - k.nu_gap_low)[pair] for k in uncertainties]
     np.testing.assert_allclose(widths[1], widths[0] / 10, rtol=0.2)
 
 
@@ -150,22 +150,22 @@ def test_the_width_goes_with_the_standard_errors() -> None:
 def test_what_is_exact_has_no_interval(covariance: FloatArray) -> None:
     """Candidates that were given have no covariance."""
     twins = [replace(t, covariance=covariance) for t in estimates()]
-    found = apart(twins)
-    known = family_uncertainty(twins, found, TERMS)
-    np.testing.assert_array_equal(known.nu_gap_low, found.matrix)
-    np.testing.assert_array_equal(known.nu_gap_high, found.matrix)
-    assert known.nominal_probability[np.argmin(found.matrix.sum(axis=0))] == 1.0
+    twin_gaps = apart(twins)
+    uncertainty = family_uncertainty(twins, twin_gaps, TERMS)
+    np.testing.assert_array_equal(uncertainty.nu_gap_low, twin_gaps.matrix)
+    np.testing.assert_array_equal(uncertainty.nu_gap_high, twin_gaps.matrix)
+    assert uncertainty.nominal_probability[np.argmin(twin_gaps.matrix.sum(axis=0))] == 1.0
 
 
 def test_what_nothing_tells_is_as_uncertain_as_its_scale() -> None:
     """A match that sees no end of a combination has an infinite covariance."""
-    twins, found = family()
+    twins, twin_gaps = family()
     huge = [replace(t, covariance=t.covariance * 1e12) for t in twins]
     endless = [replace(t, covariance=np.full((3, 3), np.inf)) for t in twins]
     for loose in (huge, endless):
-        known = family_uncertainty(loose, found, TERMS)
-        assert np.isfinite(known.nu_gap_high).all()
-        assert known.nominal_probability.max() < DECIDED_FROM
+        uncertainty = family_uncertainty(loose, twin_gaps, TERMS)
+        assert np.isfinite(uncertainty.nu_gap_high).all()
+        assert uncertainty.nominal_probability.max() < DECIDED_FROM
     scales = [p.scale for name, p in MODEL.declared.items() if name in MODEL.structure.free]
     np.testing.assert_array_equal(covariance_root(endless[0]), np.diag(scales))
 
@@ -175,23 +175,23 @@ def test_of_two_candidates_the_plant_decides() -> None:
     two = twins[:2]
     assert family_uncertainty(two, apart(two), TERMS).nominal_probability.tolist() == [0.5, 0.5]
     for k in (0, 1):
-        known = family_uncertainty(two, apart(two), TERMS, plant=RIGS[k])
-        assert known.nominal_probability[k] > 0.95
+        uncertainty = family_uncertainty(two, apart(two), TERMS, plant=RIGS[k])
+        assert uncertainty.nominal_probability[k] > 0.95
 
 
 def test_one_candidate_is_certain() -> None:
     twins, _ = family()
-    known = family_uncertainty(twins[:1], apart(twins[:1]), TERMS)
-    assert known.nominal_probability.tolist() == [1.0]
-    assert known.sum_low.tolist() == known.sum_high.tolist() == [0.0]
+    uncertainty = family_uncertainty(twins[:1], apart(twins[:1]), TERMS)
+    assert uncertainty.nominal_probability.tolist() == [1.0]
+    assert uncertainty.sum_low.tolist() == uncertainty.sum_high.tolist() == [0.0]
 
 
 def test_twins_without_a_common_point_stay_as_far_apart_as_can_be() -> None:
     twins, _ = family()
     nowhere = plant_gaps([t.parameters for t in twins], [], TERMS)
-    known = family_uncertainty(twins, nowhere, TERMS)
-    np.testing.assert_array_equal(known.nu_gap_low, 1.0 - np.eye(3))
-    np.testing.assert_array_equal(known.nu_gap_high, 1.0 - np.eye(3))
+    uncertainty = family_uncertainty(twins, nowhere, TERMS)
+    np.testing.assert_array_equal(uncertainty.nu_gap_low, 1.0 - np.eye(3))
+    np.testing.assert_array_equal(uncertainty.nu_gap_high, 1.0 - np.eye(3))
 
 
 def test_what_cannot_be_judged_is_refused() -> None:

@@ -69,10 +69,12 @@ def test_what_the_draws_leave_open_decides(share: float, decision: ControllerDec
     law = pid_law([FilteredPid(proportional=share * limit_of(LAG), low=-1e6, high=1e6)], 1.0)
     answer = tried([lag(spread=0.08)], law, references=STEPS[:60])
     assert answer.decision is decision, answer.sentence
-    found = answer.stability[0]
-    limits = np.array([limit_of(one) for one in found.drawn])
-    np.testing.assert_array_equal(found.eigenvalues >= 1.0, share * limit_of(LAG) >= limits)
-    assert found.eigenvalue == pytest.approx(abs(math.exp(-0.2) - share * (1.0 + math.exp(-0.2))), rel=1e-6)
+    stability = answer.stability[0]
+    limits = np.array([limit_of(drawn_plant) for drawn_plant in stability.drawn])
+    np.testing.assert_array_equal(stability.eigenvalues >= 1.0, share * limit_of(LAG) >= limits)
+    assert stability.eigenvalue == pytest.approx(
+        abs(math.exp(-0.2) - share * (1.0 + math.exp(-0.2))), rel=1e-6
+    )
     if decision is ControllerDecision.UNDECIDED:
         assert answer.question is not None
         assert (answer.question.parameter, answer.question.drive, answer.question.step) == ("gain", "u", 2.0)
@@ -115,24 +117,24 @@ def test_leaving_the_safe_range_or_without_one_the_span_fails(
     answer = tried([lag(spread=0.001)], wild)
     assert answer.decision is ControllerDecision.FAILS
     assert answer.sentence == "fails on found: y leaves -1 to 5.2 m"
-    said = "y has no declared safe range, so -1 to 5.2 m counts, its span" in " ".join(answer.notes)
-    assert said is ("safe" not in declared)
+    note = "y has no declared safe range, so -1 to 5.2 m counts, its span" in " ".join(answer.notes)
+    assert note is ("safe" not in declared)
 
 
 def plain(pid: FilteredPid, references: np.ndarray, load: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The lag of these tests under a PI, step by step, from rest at the first set-point; its drive takes -10
     to 10 V, whatever the law's limits. Outputs, and commands as the plant receives them, without the load."""
-    kept = math.exp(-1.0 / LAG["lag"])
+    decay = math.exp(-1.0 / LAG["lag"])
     gain = LAG["gain"]
     y = references[0]
     integral = references[0] / gain
     rows = []
     for r in references:
         wanted = pid.proportional * (r - y) + integral
-        given = min(max(wanted, pid.low), pid.high)
-        integral += pid.integral * (r - y) + pid.back_calculation * (given - wanted)
-        rows.append((y, min(max(given, -10.0), 10.0)))
-        y = kept * y + (1.0 - kept) * gain * (rows[-1][1] + load)
+        limited = min(max(wanted, pid.low), pid.high)
+        integral += pid.integral * (r - y) + pid.back_calculation * (limited - wanted)
+        rows.append((y, min(max(limited, -10.0), 10.0)))
+        y = decay * y + (1.0 - decay) * gain * (rows[-1][1] + load)
     outputs, commands = np.array(rows).T
     return outputs, commands
 
@@ -178,7 +180,7 @@ def test_limits_wider_than_the_drives_are_the_drives_without_the_laws_knowledge(
     note = (
         "the law's limits of u, -1000 to 12 V, are wider than the drive's, -10 to 10: the drive limits its "
     )
-    assert any(each.startswith(note) for each in answer.notes)
+    assert any(answer_note.startswith(note) for answer_note in answer.notes)
     cost = answer.courses.figures[CourseFigure("mean squared error", "y", "m²")].median
     assert cost == pytest.approx(np.mean((plain(pid, FAR)[0] - FAR) ** 2), rel=0.02)
 
@@ -193,8 +195,8 @@ def test_a_load_comes_upon_a_plant_at_rest(gains: tuple[float, float]) -> None:
     answer = tried([exact], pid_law([pid], 1.0), holding=slow)
     level = np.full(60, 3.0)
     moved = np.abs(plain(pid, level, 2.0)[0] - plain(pid, level)[0]).max()
-    found = answer.courses.figures[CourseFigure("excursion after a load", "y", "m")]
-    assert found.median == pytest.approx(moved, rel=1e-6)
+    excursion = answer.courses.figures[CourseFigure("excursion after a load", "y", "m")]
+    assert excursion.median == pytest.approx(moved, rel=1e-6)
 
 
 def test_the_course_under_a_load_is_that_of_the_plant_driven_with_it() -> None:
@@ -217,9 +219,9 @@ def test_overshoot_and_settling_are_those_of_python_control() -> None:
     _, y = control.step_response(system, time)
     theirs = control.step_info(system, time, SettlingTimeThreshold=0.05)
     reference = np.concatenate([np.zeros(10), np.full(2000, 2.0)])
-    found = step_figures(reference, np.concatenate([np.zeros(10), 2.0 * y]), 0.0, 0.1)
-    assert found.overshoot == pytest.approx(2.0 * theirs["Overshoot"] / 100.0, rel=1e-3)
-    assert found.settling == pytest.approx(theirs["SettlingTime"], abs=0.2)
+    figures = step_figures(reference, np.concatenate([np.zeros(10), 2.0 * y]), 0.0, 0.1)
+    assert figures.overshoot == pytest.approx(2.0 * theirs["Overshoot"] / 100.0, rel=1e-3)
+    assert figures.settling == pytest.approx(theirs["SettlingTime"], abs=0.2)
 
 
 def test_two_levels_cycle_as_a_first_order_does() -> None:
@@ -252,8 +254,8 @@ def test_bands_are_of_the_draws_and_beside_the_law_that_ran() -> None:
     assert answer.running is not None
     assert figure.median < answer.running.figures[error].median  # twice the gains follow faster
     assert (answer.courses.outputs[0] <= answer.courses.outputs[2]).all()
-    again = tried([lag()], pid_law([FilteredPid(proportional=2.0, integral=0.4, **LIMITS)], 1.0))
-    np.testing.assert_array_equal(again.courses.outputs, answer.courses.outputs)
+    repeated = tried([lag()], pid_law([FilteredPid(proportional=2.0, integral=0.4, **LIMITS)], 1.0))
+    np.testing.assert_array_equal(repeated.courses.outputs, answer.courses.outputs)
 
 
 def test_a_twin_that_cannot_be_held_is_left_out_with_the_reason() -> None:
@@ -272,23 +274,23 @@ def test_a_draw_that_cannot_be_held_says_nothing() -> None:
     """It is not unstable: with less than half of the gain no command reaches the level."""
     wide = TriedTwin("wide", LAG.replace(gain=0.7), ("gain",), np.array([[0.04]]))
     answer = tried([wide], PI)
-    found = answer.stability[0]
-    assert 5 < len(found.drawn) < 50
+    stability = answer.stability[0]
+    assert 5 < len(stability.drawn) < 50
     assert (
-        min(one["gain"] for one in found.drawn) > 0.29
+        min(drawn_plant["gain"] for drawn_plant in stability.drawn) > 0.29
     )  # 3 m need 0.3 m/V at 10 V, which the loop only approaches
-    assert found.unstable == 0.0
+    assert stability.unstable == 0.0
     assert answer.decision is ControllerDecision.SAFE
 
 
 def test_draws_have_the_covariance_and_are_possible() -> None:
     spread = np.array([[0.04, 0.06], [0.06, 0.25]])
     drawn = TriedTwin("one", LAG, ("gain", "lag"), spread).drawn(2000, seed=3)
-    rows = np.array([[one["gain"], one["lag"]] for one in drawn])
+    rows = np.array([[drawn_plant["gain"], drawn_plant["lag"]] for drawn_plant in drawn])
     np.testing.assert_allclose(np.cov(rows.T), spread, atol=0.02)
     wide = TriedTwin("two", LAG, ("gain",), np.array([[100.0]])).drawn(50, seed=3)
     assert len(wide) == 50
-    assert min(one["gain"] for one in wide) > 0.0
+    assert min(drawn_plant["gain"] for drawn_plant in wide) > 0.0
     assert TriedTwin("exact", LAG).drawn(50, seed=3) == [LAG]
 
 

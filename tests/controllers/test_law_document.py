@@ -33,8 +33,8 @@ def test_the_regulator_of_a_real_kit_gives_the_commands_that_it_gave() -> None:
     document = json.loads((OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json").read_text("utf-8"))
     law = law_from(document, Heaters, 1.0)
     r, y, u = (np.array([[row[f"{s}1"], row[f"{s}2"]] for row in rows]) for s in ("SP", "T", "Q"))
-    given, _ = commands_of(law.code, np.zeros(4), r, y)
-    np.testing.assert_allclose(given, u, atol=7e-4)
+    commands, _ = commands_of(law.code, np.zeros(4), r, y)
+    np.testing.assert_allclose(commands, u, atol=7e-4)
 
 
 def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
@@ -71,7 +71,7 @@ def test_two_levels_and_matrices() -> None:
     law = law_from(matrices, Lag, 1.0)
     pid = law_from(PID, Lag, 1.0)
     r, y = np.random.default_rng(2).normal(size=(2, 30, 1))
-    ours, theirs = (commands_of(each.code, np.zeros(each.n_states), r, y)[0] for each in (law, pid))
+    ours, theirs = (commands_of(a_law.code, np.zeros(a_law.n_states), r, y)[0] for a_law in (law, pid))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 

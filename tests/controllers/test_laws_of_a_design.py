@@ -48,23 +48,23 @@ def rates(x: FloatArray, u: FloatArray, room: float) -> FloatArray:
 
 def stepped(x: FloatArray, u: FloatArray, room: float = 296.0) -> FloatArray:
     """The kit one second later; behind its five temperatures are the commands on their way."""
-    at = x[:5]
+    temperatures = x[:5]
     waiting = x[5:].reshape(DELAY, 2)
     acting = waiting[0]
-    one = rates(at, acting, room)
-    two = rates(at + 0.5 * one, acting, room)
-    return np.concatenate([at + two, waiting[1:].ravel(), u])
+    first_rates = rates(temperatures, acting, room)
+    middle_rates = rates(temperatures + 0.5 * first_rates, acting, room)
+    return np.concatenate([temperatures + middle_rates, waiting[1:].ravel(), u])
 
 
 def held(level: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State and commands of the kit at rest at these readings, °C."""
     u = np.array([30.0, 30.0])
     for _ in range(30):
-        found = _rest(u)
+        at_rest = _rest(u)
         slopes = np.zeros((2, 2))
         for j in range(2):
-            slopes[:, j] = _rest(u + np.eye(2)[j])[3:5] - found[3:5]
-        u = u + np.linalg.solve(slopes, level + 273.15 - found[3:5])
+            slopes[:, j] = _rest(u + np.eye(2)[j])[3:5] - at_rest[3:5]
+        u = u + np.linalg.solve(slopes, level + 273.15 - at_rest[3:5])
     return np.concatenate([_rest(u), np.tile(u, DELAY)]), u
 
 
@@ -102,7 +102,7 @@ class Design(NamedTuple):
 def designs(number: int) -> list[Design]:
     """Regulators whose true loop is clearly stable or clearly not, as many of each as there are."""
     rng = np.random.default_rng(31)
-    at, u0 = held(LEVEL)
+    rest_state, u0 = held(LEVEL)
     gain = np.array([_rest(u0 + d)[3:5] - _rest(u0 - d)[3:5] for d in 0.5 * np.eye(2)]).T
     sorted_: dict[bool, list[Design]] = {True: [], False: []}
     while min(map(len, sorted_.values())) < number // 2:
@@ -112,20 +112,20 @@ def designs(number: int) -> list[Design]:
         a = np.diag(np.exp(-1.0 / rng.uniform(90.0, 250.0, 2)))
         b = (np.eye(2) - a) @ gain @ turned @ np.diag(stretch)
         model = block_diag(a, np.eye(2))
-        seen = np.hstack([np.eye(2), np.eye(2)])
+        output_matrix = np.hstack([np.eye(2), np.eye(2)])
         noise = np.diag(10.0 ** rng.uniform(-3.0, -1.0, 4))
-        p = solve_discrete_are(model.T, seen.T, noise, np.eye(2))
-        k = model @ p @ seen.T @ np.linalg.inv(seen @ p @ seen.T + np.eye(2))
+        p = solve_discrete_are(model.T, output_matrix.T, noise, np.eye(2))
+        k = model @ p @ output_matrix.T @ np.linalg.inv(output_matrix @ p @ output_matrix.T + np.eye(2))
         document = {
             "A": a, "B": b, "C": np.eye(2), "Bd": np.zeros((2, 2)), "Cd": np.eye(2), "K": k, "u0": u0,
             "y0": LEVEL, "Qs": np.eye(2), "Rs": 10.0 ** rng.uniform(-3.0, -1.0) * np.eye(2),
         }  # fmt: skip
         law = law_from(document, TCLabBoth, 1.0)
         assert isinstance(law, LinearLaw)
-        true = true_eigenvalue(law, at)
+        true = true_eigenvalue(law, rest_state)
         if true <= 0.9995 or true >= 1.0015:
             sorted_[true < 1.0].append(Design(law, true))
-    return [each for kind in sorted_.values() for each in kind[: number // 2]]
+    return [design for kind in sorted_.values() for design in kind[: number // 2]]
 
 
 def true_eigenvalue(law: LinearLaw, at: FloatArray) -> float:
@@ -137,10 +137,10 @@ def true_eigenvalue(law: LinearLaw, at: FloatArray) -> float:
         u, z = commands_of(code, both[n:], LEVEL[None], both[None, 3:5] - 273.15)
         return np.concatenate([stepped(both[:n], u[0]), z])
 
-    rest = np.concatenate([at, np.zeros(law.n_states)])
-    np.testing.assert_allclose(loop(rest), rest, atol=1e-6)
-    moves = 1e-4 * np.eye(rest.size)
-    slopes = np.array([(loop(rest + d) - loop(rest - d)) / 2e-4 for d in moves]).T
+    at_rest = np.concatenate([at, np.zeros(law.n_states)])
+    np.testing.assert_allclose(loop(at_rest), at_rest, atol=1e-6)
+    moves = 1e-4 * np.eye(at_rest.size)
+    slopes = np.array([(loop(at_rest + d) - loop(at_rest - d)) / 2e-4 for d in moves]).T
     return float(np.abs(np.linalg.eigvals(slopes)).max())
 
 
@@ -149,11 +149,11 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Design, Cont
     ground = recorded(tmp_path_factory.mktemp("kit"))
     twins = members_from(ground)
     references = np.tile(LEVEL, (60, 1))
-    found = []
+    design_answers = []
     for design in designs(LAWS):
         question = ControllerQuestion(design.law, references, LEVEL, ground.holding, draws=125)
-        found.append((design, try_controller(twins, question)))
-    return found
+        design_answers.append((design, try_controller(twins, question)))
+    return design_answers
 
 
 def test_none_is_sorted_wrongly(answers: list[tuple[Design, ControllerAnswer]]) -> None:
@@ -165,7 +165,7 @@ def test_none_is_sorted_wrongly(answers: list[tuple[Design, ControllerAnswer]]) 
 def test_most_of_the_sound_ones_are_guaranteed_and_no_other(
     answers: list[tuple[Design, ControllerAnswer]],
 ) -> None:
-    held = [(d.true < 1.0, a.guarantee is not None and a.guarantee.holds) for d, a in answers]
-    assert not any(guaranteed for sound, guaranteed in held if not sound)
-    sound = [guaranteed for sound, guaranteed in held if sound]
+    cases = [(d.true < 1.0, a.guarantee is not None and a.guarantee.holds) for d, a in answers]
+    assert not any(guaranteed for sound, guaranteed in cases if not sound)
+    sound = [guaranteed for sound, guaranteed in cases if sound]
     assert np.mean(sound) >= 0.7

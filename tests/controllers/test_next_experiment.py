@@ -89,12 +89,12 @@ def readings(values: FloatArray, u: FloatArray) -> FloatArray:
     ua, ub, body, probe = values
     slopes = np.array([[-(ua + ub) * body, ub * body], [ub * probe, -ub * probe]])
     step = np.linalg.inv(np.eye(2) - PERIOD * slopes)
-    at = np.zeros(2)
-    seen = [0.0]
-    for each in u:
-        at = step @ (at + PERIOD * np.array([0.00016 * 200.0 * each * body, 0.0]))
-        seen.append(at[1])
-    return ROOM + np.array(seen)
+    temperatures = np.zeros(2)
+    probe_readings = [0.0]
+    for command in u:
+        temperatures = step @ (temperatures + PERIOD * np.array([0.00016 * 200.0 * command * body, 0.0]))
+        probe_readings.append(temperatures[1])
+    return ROOM + np.array(probe_readings)
 
 
 def information(u: FloatArray) -> FloatArray:
@@ -133,7 +133,7 @@ def found() -> NextExperiment:
 def test_the_sine_test_tells_as_much_as_was_published() -> None:
     """The three eigenvalues that the readings determine are within 2 % (the recorded commands are a little
     late); the fourth, 0.016 beside 527 000, is an error of the published derivatives: it is zero."""
-    ours, published = (np.linalg.eigvalsh(each) for each in (information(SINE), PUBLISHED))
+    ours, published = (np.linalg.eigvalsh(matrix) for matrix in (information(SINE), PUBLISHED))
     assert ours[1:] == pytest.approx(published[1:], rel=0.02)
     assert log_det(PUBLISHED) == pytest.approx(12.31, abs=0.01)
     assert abs(ours[0]) < 1e-6
@@ -145,15 +145,19 @@ def test_tangents_are_those_of_the_simulation() -> None:
     start = np.full(2, ROOM)
 
     def read(name: str, way: float) -> FloatArray:
-        one = twin.parameters.replace(**{name: twin.parameters[name] * (1.0 + way)})
-        return simulate_driven(one, SINE, states=start, period=PERIOD).output
+        moved = twin.parameters.replace(**{name: twin.parameters[name] * (1.0 + way)})
+        return simulate_driven(moved, SINE, states=start, period=PERIOD).output
 
     still = np.zeros((STEPS, 0))
-    outputs, by = sensitivities(twin.parameters, ALL, SINE[:, None], start, period=PERIOD, disturbances=still)
+    outputs, tangents = sensitivities(
+        twin.parameters, ALL, SINE[:, None], start, period=PERIOD, disturbances=still
+    )
     assert np.array_equal(outputs[:, 0], read("Ua", 0.0))
     for k, name in enumerate(ALL):
         slope = (read(name, 1e-4) - read(name, -1e-4)) / 2e-4
-        assert by[:, 0, k] * twin.parameters[name] == pytest.approx(slope, abs=1e-5 * np.abs(slope).max())
+        assert tangents[:, 0, k] * twin.parameters[name] == pytest.approx(
+            slope, abs=1e-5 * np.abs(slope).max()
+        )
 
 
 def test_the_next_experiment_beside_the_published_optimum() -> None:
@@ -185,14 +189,14 @@ def test_the_spread_after_it_is_as_predicted(found: NextExperiment) -> None:
     errors = []
 
     def read(values: FloatArray) -> FloatArray:
-        one = twin.parameters.replace(**dict(zip(FREE, values.tolist(), strict=True)))
-        return simulate_driven(one, rows, states=np.full(2, ROOM), period=PERIOD).output
+        varied = twin.parameters.replace(**dict(zip(FREE, values.tolist(), strict=True)))
+        return simulate_driven(varied, rows, states=np.full(2, ROOM), period=PERIOD).output
 
     for _ in range(12):
         true = centre * (1.0 + 0.1 * rng.standard_normal(3))
-        seen = read(true) + NOISE * rng.standard_normal(len(rows))
+        recorded = read(true) + NOISE * rng.standard_normal(len(rows))
 
-        def misses(scaled: FloatArray, seen: FloatArray = seen) -> FloatArray:
+        def misses(scaled: FloatArray, seen: FloatArray = recorded) -> FloatArray:
             return np.concatenate([(read(centre * scaled) - seen) / NOISE, (scaled - 1.0) / 0.1])
 
         fit = least_squares(misses, np.ones(3), bounds=(0.3, 3.0))
@@ -213,8 +217,8 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
     less_known = lab(known(0.2))
     better_known = lab(known(0.1))
     ends = []
-    for one in (less_known, better_known):
-        search = _Search([one], goal_named("parameters", [one], terms()), terms(1e3))
+    for twin in (less_known, better_known):
+        search = _Search([twin], goal_named("parameters", [twin], terms()), terms(1e3))
         curve = search.curve(Staircase((1.0,), (1.0,), 0))
         assert curve is not None
         ends.append(curve[-1])

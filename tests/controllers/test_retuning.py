@@ -25,11 +25,11 @@ LEVEL = 4.0
 
 def twins(truth: Parameters, number: int, spread: float, seed: int) -> list[TriedTwin]:
     rng = np.random.default_rng(seed)
-    each = [
+    variants = [
         truth.replace(**{n: truth[n] * np.exp(spread * rng.standard_normal()) for n in ("gain", "lag")})
         for _ in range(number)
     ]
-    return [TriedTwin(str(k), one) for k, one in enumerate(each)]
+    return [TriedTwin(str(k), variant) for k, variant in enumerate(variants)]
 
 
 def found(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retuned:
@@ -106,9 +106,9 @@ def test_there_is_nothing_to_gain_twice() -> None:
     once = found(most_change=4.0)
     assert once.improvement > 0.5
     assert once.reason.startswith("the mean squared error after a load is ")
-    again = found(gains=once.after, most_change=1.003)
-    assert (again.after, again.improvement) == (once.after, 0.0)
-    assert again.reason == "there is nothing to gain within M_s ≤ 1.6 and a factor of 1.003"
+    twice = found(gains=once.after, most_change=1.003)
+    assert (twice.after, twice.improvement) == (once.after, 0.0)
+    assert twice.reason == "there is nothing to gain within M_s ≤ 1.6 and a factor of 1.003"
 
 
 def test_gains_beyond_the_ceiling_come_down() -> None:

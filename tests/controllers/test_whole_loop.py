@@ -64,12 +64,12 @@ def test_margins_that_skogestad_published(
     plant = control.tf([1.0], [1.0, 0.0] if integrating else [lag, 1.0])
     gain, time = (0.5, 8.0) if integrating else (lag / 2.0, lag)
     law = pid_law([FilteredPid(proportional=gain, integral=gain / time, **WIDE)], period)
-    [found] = WholeLoop(sampled(control.ss(plant), period, dead), law).margins()
+    [margins] = WholeLoop(sampled(control.ss(plant), period, dead), law).margins()
     # a sample lasts θ/60, and holding it is half of that as additional dead time
-    assert found.gain_up == pytest.approx(up, rel=0.015)
-    assert found.sensitivity == pytest.approx(sensitivity, rel=0.01)
-    assert found.delay == pytest.approx(delay, rel=0.015)
-    assert found.gain_down == 0.0
+    assert margins.gain_up == pytest.approx(up, rel=0.015)
+    assert margins.sensitivity == pytest.approx(sensitivity, rel=0.01)
+    assert margins.delay == pytest.approx(delay, rel=0.015)
+    assert margins.gain_down == 0.0
 
 
 @pytest.mark.filterwarnings("ignore:stability_margins. Falling back")
@@ -89,27 +89,27 @@ def test_margins_are_those_of_python_control(seed: int) -> None:
     theirs = control.ss(plant.A, plant.B, plant.C, 0, 1.0) * control.ss(law.A, law.B, law.C, law.D, 1.0)
     closed = np.linalg.eigvals(control.feedback(-theirs, 1).A)
     assert loop.eigenvalue == pytest.approx(np.abs(closed).max(), rel=1e-6)
-    [found] = loop.margins()
+    [margins] = loop.margins()
     if not loop.stable:
-        assert found == UNSTABLE
+        assert margins == UNSTABLE
         return
     gains, phases, sensitivities, angles, crossover, _ = control.stability_margins(-theirs, returnall=True)
     # python-control sees the integrator at z = 1 as a crossing with a gain of zero, to what a double root
     # keeps of a rounding, √ε ≈ 1e-8; the slowest pole turns the phase at 0.05 rad per sample
     gains = gains[angles > 1e-4]
-    ours = [k for k in (found.gain_down, found.gain_up) if 0 < k < math.inf]
+    ours = [k for k in (margins.gain_down, margins.gain_up) if 0 < k < math.inf]
     for k in ours:
         assert min(abs(gains - k)) < 1e-3 * k
     for k in gains:
-        assert k <= found.gain_down * (1 + 1e-3) or k >= found.gain_up * (1 - 1e-3)
-    assert 1.0 / found.sensitivity == pytest.approx(min(sensitivities), rel=1e-3)
-    assert np.isfinite(found.delay), "an integrator's gain begins above 1"
+        assert k <= margins.gain_down * (1 + 1e-3) or k >= margins.gain_up * (1 - 1e-3)
+    assert 1.0 / margins.sensitivity == pytest.approx(min(sensitivities), rel=1e-3)
+    assert np.isfinite(margins.delay), "an integrator's gain begins above 1"
     # python-control overlooks some, and sees two where the gain touches 1 and turns back
     crossed = [w for w in crossover if (abs(crossover - w) < 1e-4).sum() == 1]
     if len(crossed) == np.size(crossover) > 0:
-        assert found.delay == pytest.approx(min(np.radians(phases % 360.0) / crossover), rel=1e-3)
+        assert margins.delay == pytest.approx(min(np.radians(phases % 360.0) / crossover), rel=1e-3)
     # a grid misses a resonance by an eighth of its width at most: 1 - 1/√(1 + 1/64)
-    assert loop.sensitivity() == pytest.approx(found.sensitivity, rel=8e-3)
+    assert loop.sensitivity() == pytest.approx(margins.sensitivity, rel=8e-3)
 
 
 POINT = [45.0, 38.0]
@@ -130,12 +130,12 @@ def scaled(law: LinearLaw, channel: int, by: float) -> Linear:
 
 @pytest.mark.parametrize("channel", [0, 1])
 def test_the_loop_is_unstable_just_beyond_its_margins(channel: int) -> None:
-    found = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[channel]
-    assert 1.0 < found.gain_up < math.inf
-    assert found.gain_change <= found.gain_up
-    assert WholeLoop(scaled(TWO, channel, found.gain_up * (1 - 1e-6)), TWO).stable
-    assert not WholeLoop(scaled(TWO, channel, found.gain_up * (1 + 1e-6)), TWO).stable
-    longest = int(found.delay / 2.0)
+    margins = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[channel]
+    assert 1.0 < margins.gain_up < math.inf
+    assert margins.gain_change <= margins.gain_up
+    assert WholeLoop(scaled(TWO, channel, margins.gain_up * (1 - 1e-6)), TWO).stable
+    assert not WholeLoop(scaled(TWO, channel, margins.gain_up * (1 + 1e-6)), TWO).stable
+    longest = int(margins.delay / 2.0)
     for samples, stable in ((longest, True), (longest + 1, False)):
         assert WholeLoop(delayed(linearised(PLANT, POINT, 2.0), channel, samples), TWO).stable is stable
 
@@ -161,10 +161,10 @@ def test_eigenvalues_say_what_the_simulation_does(by: float, stable: bool) -> No
     )  # fmt: skip
     loop = WholeLoop(linearised(PLANT, POINT, 2.0), law)
     assert loop.stable is stable
-    rest = rest_at(PLANT, POINT)
+    at_rest = rest_at(PLANT, POINT)
     run = simulate_closed_loop(
-        PLANT, np.tile(POINT, (200, 1)), states=rest.states + np.array([1e-4, 0.0]), law=law,
-        controller=np.array([rest.inputs[0], 0.0, rest.inputs[1] + 0.5 * 6.0 * POINT[1], 0.0]),
+        PLANT, np.tile(POINT, (200, 1)), states=at_rest.states + np.array([1e-4, 0.0]), law=law,
+        controller=np.array([at_rest.inputs[0], 0.0, at_rest.inputs[1] + 0.5 * 6.0 * POINT[1], 0.0]),
     )  # fmt: skip
     size = np.abs(run.outputs[:, 0] - POINT[0])
     growth = (size[150:].max() / size[50:100].max()) ** (1 / 100)
@@ -195,8 +195,8 @@ def test_pids_side_by_side_are_each_for_itself_at_any_period() -> None:
     law = PidLoops.of(*gains).at_period(2.0)
     r, y = np.random.default_rng(6).normal(0.0, 8.0, (2, 60, 2))
     both, _ = commands_of(law.code, np.zeros(4), r, y)
-    for k, each in enumerate(gains):
-        alone, _ = commands_of(each.at_period(2.0).code, np.zeros(2), r[:, [k]], y[:, [k]])
+    for k, pid_gains in enumerate(gains):
+        alone, _ = commands_of(pid_gains.at_period(2.0).code, np.zeros(2), r[:, [k]], y[:, [k]])
         np.testing.assert_allclose(both[:, [k]], alone, atol=1e-9)
     with pytest.raises(PlantError, match=r"2 given, every \[1.0, 2.0\] s; give PIDs of one period"):
         PidLoops.of(gains[0], gains[1].at_period(2.0))
@@ -242,8 +242,8 @@ def drawn_loops(number: int) -> list[WholeLoop]:
     """Stable loops of one and two channels, drawn: plants that fall over or oscillate among them, gains of
     either sign, with and without integrators."""
     rng = np.random.default_rng(11)
-    found = []
-    while len(found) < number:
+    loops = []
+    while len(loops) < number:
         n = int(rng.integers(1, 4))
         m = int(rng.integers(1, 3))
         a = rng.normal(size=(n, n))
@@ -256,8 +256,8 @@ def drawn_loops(number: int) -> list[WholeLoop]:
         ]
         loop = WholeLoop(plant, pid_law(pids, 1.0))
         if loop.eigenvalue < 0.999:
-            found.append(loop)
-    return found
+            loops.append(loop)
+    return loops
 
 
 def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
@@ -282,18 +282,22 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
     near = 1e-4
     lost = set()
     for loop in drawn_loops(40):
-        for channel, found in enumerate(loop.margins()):
+        for channel, margins in enumerate(loop.margins()):
             between = factors[
-                (factors > found.gain_down * (1 + near)) & (factors < found.gain_up * (1 - near))
+                (factors > margins.gain_down * (1 + near)) & (factors < margins.gain_up * (1 - near))
             ]
             assert sizes_at(loop, channel, between).max() < 1.0
-            for end, beyond in ((found.gain_down, 1 - near), (found.gain_up, 1 + near)):
+            for end, beyond in ((margins.gain_down, 1 - near), (margins.gain_up, 1 + near)):
                 if 1e-3 < end < 1e3:
                     assert sizes_at(loop, channel, np.array([end * beyond]))[0] > 1.0
                     acting = loop.plant.B.copy()
                     acting[:, channel] *= end
-                    at = np.linalg.eigvals(loop._replace(plant=loop.plant._replace(B=acting)).matrix)
-                    lost.add(round(float(np.abs(np.angle(at[np.argmax(np.abs(at))])) * 2 / np.pi)))
+                    eigenvalues = np.linalg.eigvals(loop._replace(plant=loop.plant._replace(B=acting)).matrix)
+                    lost.add(
+                        round(
+                            float(np.abs(np.angle(eigenvalues[np.argmax(np.abs(eigenvalues))])) * 2 / np.pi)
+                        )
+                    )
     assert lost >= {0, 2}  # through an eigenvalue at +1, at −1; a pair may be anywhere
 
 
@@ -311,12 +315,12 @@ def test_a_loop_that_is_lost_without_swinging(
     plant: tuple[np.ndarray, np.ndarray, np.ndarray, float], gains: list[float], change: float
 ) -> None:
     """A gain at which the loop has an eigenvalue at +1, where plant and law are at rest: in closed form."""
-    a, b, c, period = (np.array(each, dtype=float) for each in plant)
+    a, b, c, period = (np.array(entry, dtype=float) for entry in plant)
     d = np.zeros((len(c), b.shape[1]))
     held_a, held_b, *_ = cont2discrete((a, b, c, d), float(period))
     law = pid_law([FilteredPid(proportional=k, **WIDE) for k in gains], float(period))
-    found = WholeLoop(Linear(held_a, held_b, c, float(period), REST), law).margins()
-    assert found[0].gain_change == pytest.approx(change, rel=1e-9)
+    margins = WholeLoop(Linear(held_a, held_b, c, float(period), REST), law).margins()
+    assert margins[0].gain_change == pytest.approx(change, rel=1e-9)
 
 
 def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() -> None:
@@ -327,13 +331,13 @@ def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() ->
     plants = [Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST) for k in gains]
     exact = [control.tf([k * h * h / 2] * 2, [1.0, -2.0, 1.0], h) for k in gains]
     law = pid_law([FilteredPid(proportional=3, integral=3, derivative=1.2, filter=0.1, **WIDE)], h)
-    spaces = [StateSpace.of(each) for each in plants]
+    spaces = [StateSpace.of(plant) for plant in plants]
     controller = StateSpace.of(law)
     assert matrix_nu_gap(*spaces) == pytest.approx(nu_gap(*exact), abs=1e-6)
     for unit in (1.0, 50.0):  # the search for units tries them far apart
-        found = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))
-        scaled = [each * float(found.inputs[0] / found.outputs[0]) for each in exact]
-        assert found.gap == pytest.approx(nu_gap(*scaled), abs=1e-6)
+        scaling = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))
+        scaled = [transfer * float(scaling.inputs[0] / scaling.outputs[0]) for transfer in exact]
+        assert scaling.gap == pytest.approx(nu_gap(*scaled), abs=1e-6)
 
 
 def test_a_margin_without_a_value_is_one_error() -> None:

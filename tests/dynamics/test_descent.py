@@ -48,7 +48,7 @@ def test_a_curved_valley_is_followed_to_its_end_or_to_the_bound(
 ) -> None:
     low = (-5.0, -5.0)
     begin = np.minimum(start, upper)
-    found = search(rosenbrock, begin, low, upper)
+    minimum = search(rosenbrock, begin, low, upper)
     theirs = least_squares(
         lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
         np.minimum(begin, np.array(upper) - 1e-6),
@@ -57,10 +57,10 @@ def test_a_curved_valley_is_followed_to_its_end_or_to_the_bound(
         ftol=1e-14,
         gtol=1e-14,
     )
-    assert found.converged
-    assert found.cost <= 2 * theirs.cost + 1e-8
-    np.testing.assert_allclose(found.values, theirs.x, atol=1e-4)
-    assert np.all(found.values <= upper)
+    assert minimum.converged
+    assert minimum.cost <= 2 * theirs.cost + 1e-8
+    np.testing.assert_allclose(minimum.values, theirs.x, atol=1e-4)
+    assert np.all(minimum.values <= upper)
 
 
 @given(
@@ -118,18 +118,18 @@ def test_a_direction_that_is_not_seen_is_left_alone() -> None:
     def flat(x: np.ndarray) -> Curve:
         return Curve(np.array([x[0] - 1.0, 0.5]), np.array([[1.0, 0.0], [0.0, 0.0]]))
 
-    found = search(flat, (0.0, 0.3), (-5.0, -5.0), (5.0, 5.0))
-    assert found.converged
-    assert found.values == pytest.approx([1.0, 0.3])
+    minimum = search(flat, (0.0, 0.3), (-5.0, -5.0), (5.0, 5.0))
+    assert minimum.converged
+    assert minimum.values == pytest.approx([1.0, 0.3])
 
 
 def test_a_kink_ends_the_search_and_too_few_evaluations_are_reported() -> None:
     def kink(x: np.ndarray) -> Curve:
         return Curve(np.array([abs(x[0]) + 1.0]), np.array([[np.sign(x[0]) or 1.0]]))
 
-    found = search(kink, (1.0,), (-5.0,), (5.0,))
-    assert found.converged
-    assert abs(found.values[0]) < 1e-3
+    minimum = search(kink, (1.0,), (-5.0,), (5.0,))
+    assert minimum.converged
+    assert abs(minimum.values[0]) < 1e-3
     short = search(rosenbrock, (-1.2, 1.0), (-5.0, -5.0), (5.0, 5.0), most=3)
     assert not short.converged
     assert short.evaluations == 3
@@ -140,18 +140,18 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
         return Curve(np.array([x[0] + 0.1 * x[0] ** 2, 1.0]), np.array([[1.0 + 0.2 * x[0]], [0.0]]))
 
     first = search(well, (3.0,), (-4.0,), (4.0,))
-    again = search(well, (2.0,), (-4.0,), (4.0,), found=first)
-    assert again is first
+    second = search(well, (2.0,), (-4.0,), (4.0,), found=first)
+    assert second is first
 
     def two(x: np.ndarray) -> Curve:  # minima at −1 and 2, the second one higher
         return Curve(
             np.array([(x[0] + 1.0) * (x[0] - 2.0), 0.3 * (x[0] + 1.0)]), np.array([[2.0 * x[0] - 1.0], [0.3]])
         )
 
-    left = search(two, (-2.0,), (-5.0,), (5.0,))
-    right = search(two, (3.0,), (-5.0,), (5.0,), found=left)
-    assert left.values == pytest.approx([-1.0], abs=1e-3)
-    assert right.values[0] > 1.5
+    from_left = search(two, (-2.0,), (-5.0,), (5.0,))
+    from_right = search(two, (3.0,), (-5.0,), (5.0,), found=from_left)
+    assert from_left.values == pytest.approx([-1.0], abs=1e-3)
+    assert from_right.values[0] > 1.5
 
 
 def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:

@@ -67,30 +67,30 @@ def test_the_reading_moves_with_the_drive_and_begins_where_it_was_measured() -> 
 def test_a_match_finds_the_resistance_even_if_the_window_begins_under_load() -> None:
     noisy = RUN.output + np.random.default_rng(1).normal(0.0, 0.001, AMPS.size)
     window = Window(np.zeros(AMPS.size), noisy, AMPS, period=1.0).part(58, 357)
-    found = match(window, start=Cell.model().parameters(), law=None)
+    matched = match(window, start=Cell.model().parameters(), law=None)
     # The pair is at rest in the third sample, the first of 30 A. 300 readings of 1 mV after steps of 30 to
     # 60 A: some 10 µΩ.
-    assert found.parameters["r"] == pytest.approx(0.002, abs=5e-5)
-    assert found.chi2 < 1.3
+    assert matched.parameters["r"] == pytest.approx(0.002, abs=5e-5)
+    assert matched.chi2 < 1.3
 
 
 def test_what_is_held_is_what_is_forecast_and_observed() -> None:
     """As a simulation with that current from the newest sample on, with bands of the noise alone."""
-    at = 200
+    newest = 200
     observer = Observer(TRUTH, period=1.0, drift=[0.0, 0.0], start=[1e-6, 1e-9], states=RUN.states[0])
-    off = []
-    for k in range(at + 1):
-        off.append(observer.correct(RUN.output[k], None, AMPS[k])[0][0])
-        if k < at:
+    surprises = []
+    for k in range(newest + 1):
+        surprises.append(observer.correct(RUN.output[k], None, AMPS[k])[0][0])
+        if k < newest:
             observer.predict(AMPS[k])
-    assert np.abs(off).max() < 1e-9
+    assert np.abs(surprises).max() < 1e-9
     foresight = Foresight([(TRUTH, ())], None, drift=[[0.0, 0.0]], period=1.0)
-    now = foresight.at([observer.states], [observer.covariance], AMPS[at], None)
-    held = foresight.ahead(now, np.full(30, -30.0))
-    instead = np.append(AMPS[: at + 1], np.full(30, -30.0))
-    expected = simulate_driven(TRUTH, instead, states=RUN.states[0], period=1.0).output[at + 1 :]
-    np.testing.assert_allclose(held.outputs[:, 0], expected, atol=1e-9)
-    np.testing.assert_allclose(np.sqrt(held.output_variances[:, 0]), 0.001, rtol=1e-3)
+    newest_state = foresight.at([observer.states], [observer.covariance], AMPS[newest], None)
+    forecast = foresight.ahead(newest_state, np.full(30, -30.0))
+    instead = np.append(AMPS[: newest + 1], np.full(30, -30.0))
+    expected = simulate_driven(TRUTH, instead, states=RUN.states[0], period=1.0).output[newest + 1 :]
+    np.testing.assert_allclose(forecast.outputs[:, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(np.sqrt(forecast.output_variances[:, 0]), 0.001, rtol=1e-3)
 
 
 def test_its_linear_model_answers_a_command_with_the_next_reading() -> None:
@@ -120,8 +120,8 @@ def test_health_names_a_contactor_that_opens_as_a_lost_drive() -> None:
     volts = simulate_driven(TRUTH, amps, states=begin(TRUTH, 4.0), period=1.0).output
     volts = np.round(volts + np.random.default_rng(7).normal(0.0, 0.001, volts.size), 4)
     monitor = Monitor(HealthSettings.of(Cell))
-    for k, (given, reading) in enumerate(zip(wanted.tolist(), volts.tolist(), strict=True)):
-        monitor.push(Sample(k, k * 10**9, reading, reading, given), TRUTH)
+    for k, (commanded, reading) in enumerate(zip(wanted.tolist(), volts.tolist(), strict=True)):
+        monitor.push(Sample(k, k * 10**9, reading, reading, commanded), TRUTH)
     *before, last = monitor.alarms
     assert last.fault is Fault.DRIVE_LOST
     assert all(alarm.fault is Fault.DRIFT and alarm.flagged > opens for alarm in before), "not yet told apart"

@@ -80,8 +80,8 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
             differences = (a - b) / (2 * step[j])
             size = np.max(np.abs(exact.by[row, :, j])) + 1e-6
             # Differences may straddle a sample at which u leaves its limit; the derivative does not.
-            off = np.abs(differences - exact.by[row, :, j]) > 2e-4 * size
-            assert np.mean(off) < 0.02, name
+            differs = np.abs(differences - exact.by[row, :, j]) > 2e-4 * size
+            assert np.mean(differs) < 0.02, name
 
 
 @settings(max_examples=20)
@@ -93,18 +93,18 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
         MOTOR.parameters(), ("k", "j", "b"), window, weights=(5.0, 3.0), robust=robust, settle=10
     )
     values = np.array([k, j, 1e-4])
-    found = experiment.tangents(values)
-    left = (np.stack([found.outputs[:, 0], found.inputs[:, 0]]) - experiment.measured)[:, 10:] * weights[
-        :, None
-    ]
-    jacobian = (found.by[:, 10:] * weights[:, None, None]).reshape(-1, 3)
-    root = np.sqrt(1.0 + left**2) if robust else np.ones_like(left)
-    expected = np.sum(2.0 * (root - 1.0)) if robust else np.sum(left**2)
+    tangents = experiment.tangents(values)
+    residuals = (np.stack([tangents.outputs[:, 0], tangents.inputs[:, 0]]) - experiment.measured)[
+        :, 10:
+    ] * weights[:, None]
+    jacobian = (tangents.by[:, 10:] * weights[:, None, None]).reshape(-1, 3)
+    root = np.sqrt(1.0 + residuals**2) if robust else np.ones_like(residuals)
+    expected = np.sum(2.0 * (root - 1.0)) if robust else np.sum(residuals**2)
     cost, gradient, hessian = experiment.normal(values)
     assert cost == pytest.approx(expected, rel=1e-9)
     weighed = jacobian / root.reshape(-1, 1)
     np.testing.assert_allclose(
-        gradient, weighed.T @ left.ravel(), rtol=1e-7, atol=1e-7 * np.max(np.abs(gradient))
+        gradient, weighed.T @ residuals.ravel(), rtol=1e-7, atol=1e-7 * np.max(np.abs(gradient))
     )
     np.testing.assert_allclose(hessian, weighed.T @ jacobian, rtol=1e-8)
 
@@ -133,11 +133,11 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     experiment = Experiment(
         base, base.model.structure.free, window, law=law if closed else None, weights=weights
     )
-    found = experiment.tangents(experiment.values_of(base))
-    weighed = found.by * np.array(weights)[:, None, None]
-    sums, mean_square = noise_scores(experiment, found, weighed, np.array([weights]))
+    tangents = experiment.tangents(experiment.values_of(base))
+    weighed = tangents.by * np.array(weights)[:, None, None]
+    sums, mean_square = noise_scores(experiment, tangents, weighed, np.array([weights]))
 
-    size = len(found.outputs)
+    size = len(tangents.outputs)
     bump = 1e-4
     load = window.disturbances[2:]
 

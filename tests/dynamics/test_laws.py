@@ -74,11 +74,11 @@ def lqg(folder_name: str = "tclab_2x2") -> LinearLaw:
     of_d = target[:, :nd]
     of_r = target[:, nd:]
     joint = np.block([[a, bd], [np.zeros((nd, n)), np.eye(nd)]])
-    seen = np.hstack([c, cd])
+    observed = np.hstack([c, cd])
     steering = np.vstack([b, np.zeros((nd, b.shape[1]))])
     by_r = feedback @ of_r[:n] + of_r[n:]
     return LinearLaw(
-        A=joint - k @ seen, B=k, C=np.hstack([-feedback, feedback @ of_d[:n] + of_d[n:]]),
+        A=joint - k @ observed, B=k, C=np.hstack([-feedback, feedback @ of_d[:n] + of_d[n:]]),
         D=np.zeros((2, 2)), E=by_r, F=np.zeros((n + nd, 2)), G=steering,
         offset=(u0 - by_r @ y0).ravel(), shift=-(steering @ u0 + k @ y0).ravel(),
         low=np.zeros(2), high=np.full(2, 100.0),
@@ -93,20 +93,20 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     _, r1, r2, q1, q2, t1, t2 = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
     r, u, y = (np.ascontiguousarray(np.stack(pair, axis=1)) for pair in ((r1, r2), (q1, q2), (t1, t2)))
     law = lqg()
-    found, _ = commands_of(law.code, np.zeros(4), r, y)
-    assert np.max(np.abs(found - u)) < 7e-4
+    commands, _ = commands_of(law.code, np.zeros(4), r, y)
+    assert np.max(np.abs(commands - u)) < 7e-4
     controller = Controller(law)
-    again = np.empty_like(u)
+    stepwise = np.empty_like(u)
     for k in range(len(u)):
-        again[k] = law.C @ controller.state + law.E @ r[k] + law.offset
+        stepwise[k] = law.C @ controller.state + law.E @ r[k] + law.offset
         controller.follow(r[k], y[k], u[k])
-    assert np.max(np.abs(np.clip(again, 0.0, 100.0) - u)) < 5.2e-4
+    assert np.max(np.abs(np.clip(stepwise, 0.0, 100.0) - u)) < 5.2e-4
     assert ((u <= 0.0) | (u >= 100.0)).any()
     # Picked up anywhere, its state follows from what it did.
     for first in (0, 777, 3000):
         window = Window(r, y, u).part(first, first + 60)
-        again, _ = commands_of(law.code, law.state(window), window.references[2:], window.outputs[2:])
-        np.testing.assert_allclose(again, window.inputs[2:], atol=0.05)
+        resumed, _ = commands_of(law.code, law.state(window), window.references[2:], window.outputs[2:])
+        np.testing.assert_allclose(resumed, window.inputs[2:], atol=0.05)
 
 
 @settings(max_examples=60)
@@ -130,14 +130,14 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
     def result(of_z: Array, of_y: Array, of_gains: Array) -> Array:
         return np.concatenate(step_and_slopes(of_gains, of_z, r, of_y, tuned)[:2])
 
-    at = np.concatenate([z, y, compiled_law[tuned]])
+    point = np.concatenate([z, y, compiled_law[tuned]])
     whole = compiled_law.copy()
     q = z.size
     p = y.size
-    for j in range(at.size):
+    for j in range(point.size):
         ends = []
         for sign in (1.0, -1.0):
-            moved = at.copy()
+            moved = point.copy()
             numbers_there = whole.copy()
             moved[j] += sign * 1e-6
             numbers_there[tuned] = moved[q + p :]
@@ -204,8 +204,8 @@ def test_two_levels_move_their_switches_with_the_plant() -> None:
         window = Window(reference, runs[0].outputs, runs[0].inputs)
         experiment = Experiment(tank, (name,), window, law=law)
         slopes.append(experiment.tangents(np.array([tank[name]])).by[0, :, 0].mean())
-        for sign, found in means.items():
-            found.append(runs[sign].output[2:].mean())
+        for sign, signed_means in means.items():
+            signed_means.append(runs[sign].output[2:].mean())
     expected = (np.mean(means[1]) - np.mean(means[-1])) / (2.0 * width)
     assert np.mean(slopes) == pytest.approx(expected, rel=0.25)
 
@@ -224,11 +224,11 @@ def test_unknown_gains_of_a_controller_are_found() -> None:
     experiment = Experiment(rig, ("loss",), window, free_gains=("D[0,0]", "E[0,0]"), law=law)
     truth = experiment.values_of(rig)
     assert truth.tolist() == [rig["loss"], -4.0, 4.0]
-    found = experiment.descend(
+    minimum = experiment.descend(
         truth * [1.3, 0.8, 1.1], np.array([1e-3, -20.0, 0.0]), np.array([0.1, 0.0, 20.0]),
         np.array([0.01, 1.0, 1.0]), 60,
     )  # fmt: skip
-    np.testing.assert_allclose(found.values, truth, rtol=1e-6)
+    np.testing.assert_allclose(minimum.values, truth, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -85,13 +85,13 @@ def test_the_state_is_found_for_any_back_calculation(
         states.append(pid.state)
     window = Window(np.array(values), np.zeros(len(values)), np.array(pwm), period=period)
     free = next((k for k in range(1, len(pwm)) if abs(pwm[k]) < 255.0), None)
-    found = controller_state(window, gains)
-    assert found.previous == states[1][1]
-    kept = abs(1.0 - back_calculation * period)
-    if kept == 0.0 or (free is not None and kept ** (free - 1) >= 1e-3):
-        assert found.integral == pytest.approx(states[1][0], rel=1e-8, abs=1e-6)
+    state = controller_state(window, gains)
+    assert state.previous == states[1][1]
+    decay = abs(1.0 - back_calculation * period)
+    if decay == 0.0 or (free is not None and decay ** (free - 1) >= 1e-3):
+        assert state.integral == pytest.approx(states[1][0], rel=1e-8, abs=1e-6)
     else:
-        assert math.isfinite(found.integral)
+        assert math.isfinite(state.integral)
 
 
 def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> None:
@@ -121,14 +121,14 @@ def test_a_simulation_from_a_found_state_continues_where_the_first_left_off() ->
     reference = np.repeat([30.0, 70.0, 40.0], 60)
     whole = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
     window = Window(reference, whole.output, whole.input).part(100, 179)
-    rest = simulate_closed_loop(
+    continued = simulate_closed_loop(
         rig,
         window.reference[2:],
         states=begin(rig, window.output[2]),
         controller=controller_state(window, RIG),
     )
-    np.testing.assert_allclose(rest.output, window.output[2:], atol=1e-9)
-    np.testing.assert_allclose(rest.input, window.input[2:], atol=1e-7)
+    np.testing.assert_allclose(continued.output, window.output[2:], atol=1e-9)
+    np.testing.assert_allclose(continued.input, window.input[2:], atol=1e-7)
 
 
 def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_is_found() -> None:
@@ -140,21 +140,21 @@ def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_i
     input_ = [pid.step(r, y)[0] for r, y in zip(reference, output, strict=True)]
     for first in range(9):
         window = Window(reference, output, np.array(input_)).part(first, 11)
-        other = Controller(gains, controller_state(window, gains))
-        again = [other.step(window.reference[k], window.output[k])[0] for k in range(2, len(window))]
-        np.testing.assert_allclose(again, input_[first + 2 :], atol=1e-9)
+        restored = Controller(gains, controller_state(window, gains))
+        commands = [restored.step(window.reference[k], window.output[k])[0] for k in range(2, len(window))]
+        np.testing.assert_allclose(commands, input_[first + 2 :], atol=1e-9)
 
 
 def test_what_is_not_a_number_is_refused_and_changes_nothing() -> None:
     pid = Controller(RIG, PidState(3.0, 1.0))
-    one = np.zeros(1)
+    single = np.zeros(1)
     for message, use in (
         ("controller: output is nan", lambda: pid.step(40.0, math.nan)),
         ("controller: reference is inf", lambda: pid.step(math.inf, 30.0)),
         ("controller: input is nan", lambda: pid.follow(40.0, 30.0, math.nan)),
         ("holds a value that is not finite", lambda: dataclasses.replace(RIG, integral=math.nan)),
         ("period 0.0 s must be positive", lambda: dataclasses.replace(RIG, period=0.0)),
-        ("holds 1 sample; give at least two", lambda: controller_state(Window(one, one, one), RIG)),
+        ("holds 1 sample; give at least two", lambda: controller_state(Window(single, single, single), RIG)),
     ):
         with pytest.raises(PlantError, match=message):
             use()
@@ -167,10 +167,10 @@ HOUR = 3600
 
 
 def test_the_same_seed_gives_the_same_run() -> None:
-    one, two, other = (CAMERA.realise(HOUR, 1.0, seed) for seed in (5, 5, 6))
-    np.testing.assert_array_equal(one.noise, two.noise)
-    np.testing.assert_array_equal(one.frozen, two.frozen)
-    assert not np.array_equal(one.noise, other.noise)
+    first, second, other_seed = (CAMERA.realise(HOUR, 1.0, seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.noise, second.noise)
+    np.testing.assert_array_equal(first.frozen, second.frozen)
+    assert not np.array_equal(first.noise, other_seed.noise)
 
 
 def test_noise_has_its_size() -> None:
@@ -192,9 +192,9 @@ def test_a_frozen_camera_repeats_itself_in_the_loop() -> None:
     camera = Sensor(0.1, pause_period=30.0, pause_duration=3.0).realise(300, 1.0, 4)
     rig = Peltier.model().parameters()
     response = simulate_closed_loop(rig, np.full(300, 60.0), states=begin(rig, 23.0), sensor=camera)
-    again = np.diff(response.output) == 0.0
+    repeats = np.diff(response.output) == 0.0
     assert camera.frozen.sum() >= 27
-    assert again[camera.frozen[1:]].all()
+    assert repeats[camera.frozen[1:]].all()
 
 
 @given(st.floats(-20.0, 130.0), st.sampled_from([0.01, 0.05, 0.5]), st.floats(-1.0, 1.0))

@@ -40,15 +40,15 @@ def evaluated(equations: Derived, sizes: dict[str, int]) -> dict[str, np.ndarray
     b = np.zeros(1)
 
     def call(function: str, target: np.ndarray) -> np.ndarray:
-        of = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(addresses[function])
-        of(*(array.ctypes.data for array in (x, u, b, p, b, target)))
+        function_type = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(addresses[function])
+        function_type(*(array.ctypes.data for array in (x, u, b, p, b, target)))
         return target
 
     call("constants", p[2:])
-    found = {name: call(name, np.full(size + BEYOND, np.nan)) for name, size in sizes.items()}
+    results = {name: call(name, np.full(size + BEYOND, np.nan)) for name, size in sizes.items()}
     del owner
-    assert all(np.isnan(found[name][size:]).all() for name, size in sizes.items()), "more than it should"
-    return {name: found[name][:size] for name, size in sizes.items()}
+    assert all(np.isnan(results[name][size:]).all() for name, size in sizes.items()), "more than it should"
+    return {name: results[name][:size] for name, size in sizes.items()}
 
 
 def expected(expressions: list[Any]) -> np.ndarray:
@@ -61,15 +61,15 @@ def assert_all_agree(equations: Derived) -> None:
     """Rates with all derivatives, and outputs with theirs."""
     rates = equations.rates
     outputs = list(equations.outputs)
-    by = [[e.diff(s) for e in rates for s in symbols] for symbols in (P, X, U)]
+    derivatives = [[e.diff(s) for e in rates for s in symbols] for symbols in (P, X, U)]
     right = {
-        "slopes": [*by[0], *rates, *by[1], *by[2]],
+        "slopes": [*derivatives[0], *rates, *derivatives[1], *derivatives[2]],
         "outputs": outputs,
         "output_slopes": [e.diff(s) for symbols in (X, P, U) for e in outputs for s in symbols],
     }
-    found = evaluated(equations, {name: len(expressions) for name, expressions in right.items()})
+    results = evaluated(equations, {name: len(expressions) for name, expressions in right.items()})
     for name, expressions in right.items():
-        np.testing.assert_allclose(found[name], expected(expressions), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(results[name], expected(expressions), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", sorted(set(_FUNCTIONS) - {"Abs", "Max", "Min", "Piecewise"}))
@@ -106,6 +106,6 @@ EXPRESSIONS = st.recursive(
 @settings(max_examples=12)
 @given(first=EXPRESSIONS, second=EXPRESSIONS)
 def test_any_arithmetic_is_compiled(first: Any, second: Any) -> None:
-    one = sympy.sympify(first)
-    other = sympy.sympify(second)
-    assert_all_agree(derived((one, other), (other, one)))
+    first_term = sympy.sympify(first)
+    second_term = sympy.sympify(second)
+    assert_all_agree(derived((first_term, second_term), (second_term, first_term)))

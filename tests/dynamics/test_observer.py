@@ -115,16 +115,16 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
         row = loads[k] if model.disturbances.size else None
         reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
         expected = textbook.correct(reading, row)
-        found = np.ravel(observer.correct(reading, row))
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+        correction = np.ravel(observer.correct(reading, row))
+        np.testing.assert_allclose(correction, expected, rtol=1e-4, atol=1e-6)
         u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else (-0.5 if drive.limits[0] < 0 else 0.5))
         states = advance(base, states, u, period, row)
         observer.predict(u)
         textbook.predict(u, period, row)
-    found = [*observer.states, *(observer.parameters[name] for name in names)]
+    estimates = [*observer.states, *(observer.parameters[name] for name in names)]
     deviations = np.sqrt(np.diag(textbook.covariance))
     # Differences are good to some 1e-6 of a slope; the filters are compared in their own standard deviations.
-    np.testing.assert_array_less(np.abs(found - textbook.z), 1e-3 * deviations)
+    np.testing.assert_array_less(np.abs(estimates - textbook.z), 1e-3 * deviations)
     scale = np.outer(deviations, deviations)
     np.testing.assert_allclose(observer.joint / scale, textbook.covariance / scale, atol=1e-3)
 
@@ -188,15 +188,15 @@ def test_single_wrong_readings_hardly_move_it_with_a_limit(limit: float) -> None
         rig, np.full(800, 45.0), states=begin(rig, 40.0), sensor=Sensor(noise=0.1).realise(800, 1.0, 2)
     )
     observer = Observer(rig, 40.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0], limit=limit)
-    off = []
+    errors = []
     for k in range(800):
         kicked = k % 40 == 20
         observer.correct(run.output[k] + 5.0 * kicked)
         if kicked:
-            off.append(abs(observer.states[0] - run.states[k, 0]))
+            errors.append(abs(observer.states[0] - run.states[k, 0]))
         observer.predict(run.input[k])
     # The kick moves the plate by the gain, near 0.2, of 5 K; of 0.3 K with the limit.
-    assert (max(off[1:]) < 0.15) if math.isfinite(limit) else (max(off[1:]) > 0.3)
+    assert (max(errors[1:]) < 0.15) if math.isfinite(limit) else (max(errors[1:]) > 0.3)
 
 
 def test_a_surprise_within_the_limit_changes_nothing() -> None:
@@ -224,12 +224,12 @@ def plate_error(twin: Parameters, *, adaptive: bool) -> float:
     )
     n = len(twin.model.states)
     observer = Observer(twin, 40.0, period=1.0, drift=[0.03] * n, start=[4.5] * n, adaptive=adaptive)
-    off = []
+    errors = []
     for y, u, x in zip(run.output, run.input, run.states, strict=False):
         observer.correct(y)
-        off.append(observer.states[0] - x[0])
+        errors.append(observer.states[0] - x[0])
         observer.predict(u)
-    return float(np.abs(off[20:]).mean())
+    return float(np.abs(errors[20:]).mean())
 
 
 def test_adapted_to_its_innovations_even_a_wrong_twin_follows_the_readings() -> None:
@@ -240,8 +240,8 @@ def test_adapted_to_its_innovations_even_a_wrong_twin_follows_the_readings() -> 
 
 def test_a_right_twin_keeps_the_drift_that_it_was_given() -> None:
     """The factor is a random walk that is held above 1: it costs less than a tenth of the precision."""
-    kept, adapted = (plate_error(MASSIVE.parameters(), adaptive=way) for way in (False, True))
-    assert adapted < 1.1 * kept
+    given_drift, adapted = (plate_error(MASSIVE.parameters(), adaptive=way) for way in (False, True))
+    assert adapted < 1.1 * given_drift
 
 
 def test_it_continues_in_the_middle_of_a_session() -> None:
@@ -278,14 +278,14 @@ def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
     for k in range(60):
         u = float(rng.uniform(0.0, 100.0))
         y = float(25.0 + rng.standard_normal())
-        for each in alone:
-            each.predict(u)
+        for observer in alone:
+            observer.predict(u)
             if k % 7:
-                each.correct(y)
+                observer.correct(y)
         assert bank.push([u], [y], [k % 7 > 0]) == [1, 1]
-        for one, other in zip(alone, together, strict=True):
-            np.testing.assert_array_equal(one.states, other.states)
-            np.testing.assert_array_equal(one.joint, other.joint)
+        for single, banked in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(single.states, banked.states)
+            np.testing.assert_array_equal(single.joint, banked.joint)
     assert bank.push([50.0, 50.0, 50.0], [25.0, math.inf, 25.0], [True] * 3) == [1, 1]
 
 

@@ -163,15 +163,15 @@ def test_faulty_declarations_are_refused_in_words() -> None:
 @given(output=st.floats(25.0, 90.0), period=st.sampled_from([0.5, 1.0, 2.0]))
 def test_the_linearised_plant_is_that_of_small_movements(output: float, period: float) -> None:
     rig = MASSIVE.parameters(conductance=0.7)
-    found = linearised(rig, output, period)
-    states, u = found.rest
+    linear = linearised(rig, output, period)
+    states, u = linear.rest
     assert read(rig, states) == pytest.approx(output, abs=1e-9)
     np.testing.assert_allclose(advance(rig, states, u, period), states, atol=1e-7)
     np.testing.assert_allclose(
-        advance(rig, states, u + 1e-3, period), states + 1e-3 * found.B[:, 0], atol=1e-9 + 1e-8
+        advance(rig, states, u + 1e-3, period), states + 1e-3 * linear.B[:, 0], atol=1e-9 + 1e-8
     )
     bump = np.array([1e-3, -2e-3])
-    np.testing.assert_allclose(advance(rig, states + bump, u, period), states + found.A @ bump, atol=1e-7)
+    np.testing.assert_allclose(advance(rig, states + bump, u, period), states + linear.A @ bump, atol=1e-7)
 
 
 def test_where_a_plant_cannot_be_held_is_said() -> None:
@@ -201,8 +201,8 @@ def test_an_observer_finds_the_state_no_sensor_shows() -> None:
         ratios.append(surprise**2 / variance)
         if k < u.size - 1:
             observer.predict(u[k])
-    off = abs(observer.states[1] - truth.states[-2, 1])
-    assert off < 3 * np.sqrt(observer.covariance[1, 1]) < 1.0
+    sink_error = abs(observer.states[1] - truth.states[-2, 1])
+    assert sink_error < 3 * np.sqrt(observer.covariance[1, 1]) < 1.0
     # The mean of 1200 squares of normal numbers is 1 ± 0.04.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 

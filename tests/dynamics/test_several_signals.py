@@ -81,53 +81,55 @@ def test_tangents_are_those_of_differences(closed: bool) -> None:
         differences = ((both[0] - both[1]) / (2.0 * step[j]))[:signals]
         size = np.max(np.abs(differences), axis=1, keepdims=True)
         # A difference may straddle a sample at which a command leaves its limit; the derivative does not.
-        off = np.abs(exact.by[:signals, :, j] - differences) > 1e-5 * size
-        assert np.mean(off) < 0.02, name
+        differs = np.abs(exact.by[:signals, :, j] - differences) > 1e-5 * size
+        assert np.mean(differs) < 0.02, name
     cost, gradient, hessian = experiment.normal(values)
-    left = np.concatenate([exact.outputs, exact.inputs], axis=1).T[:signals] - experiment.measured[:signals]
+    residuals = (
+        np.concatenate([exact.outputs, exact.inputs], axis=1).T[:signals] - experiment.measured[:signals]
+    )
     jacobian = exact.by[:signals].reshape(-1, values.size)
-    assert cost == pytest.approx(np.sum(left**2), abs=1e-18)
+    assert cost == pytest.approx(np.sum(residuals**2), abs=1e-18)
     np.testing.assert_allclose(hessian, jacobian.T @ jacobian, rtol=1e-9)
-    np.testing.assert_allclose(gradient, jacobian.T @ left.ravel(), atol=1e-9)
+    np.testing.assert_allclose(gradient, jacobian.T @ residuals.ravel(), atol=1e-9)
 
 
 def test_its_linearisation_is_the_matrix_exponential() -> None:
-    rest = rest_at(PLANT, [45.0, 38.0])
-    found = linearised(PLANT, [45.0, 38.0], 2.0)
-    np.testing.assert_allclose(advance(PLANT, rest.states, rest.inputs, 2.0), rest.states, atol=1e-9)
+    at_rest = rest_at(PLANT, [45.0, 38.0])
+    linear = linearised(PLANT, [45.0, 38.0], 2.0)
+    np.testing.assert_allclose(advance(PLANT, at_rest.states, at_rest.inputs, 2.0), at_rest.states, atol=1e-9)
     rates = Heaters.rates_of(dict(PLANT))
-    at = np.append(rest.states, rest.inputs)
+    point = np.append(at_rest.states, at_rest.inputs)
     slopes = np.zeros((4, 4))
     for j in range(4):
         moved = 1e-4 * np.eye(4)[j]
-        up, down = (rates((at + way)[:2], (at + way)[2:]) for way in (moved, -moved))
+        up, down = (rates((point + way)[:2], (point + way)[2:]) for way in (moved, -moved))
         slopes[:2, j] = (np.array(up) - np.array(down)) / 2e-4
     whole = expm(2.0 * slopes)
-    np.testing.assert_allclose(found.A, whole[:2, :2], atol=1e-7)
-    np.testing.assert_allclose(found.B, whole[:2, 2:], atol=1e-7)
-    np.testing.assert_array_equal(found.C, np.eye(2))
+    np.testing.assert_allclose(linear.A, whole[:2, :2], atol=1e-7)
+    np.testing.assert_allclose(linear.B, whole[:2, 2:], atol=1e-7)
+    np.testing.assert_array_equal(linear.C, np.eye(2))
     with pytest.raises(SignalError, match="input: there are 2 of them; this is for a loop"):
-        _ = rest.input
+        _ = at_rest.input
 
 
 def test_driven_it_is_matched() -> None:
     """The estimates are within four standard errors of the truth, and those are the errors of 30 draws."""
     start = PLANT.replace(exchange=0.2, first_gain=0.1)
-    found = match(driven(0.1), start=start, law=None)
-    assert found.accepted, found.reason
-    for j, name in enumerate(found.free):
-        assert abs(found.parameters[name] - PLANT[name]) < 4.0 * found.standard_errors[j], name
-    assert found.chi2 == pytest.approx(1.0, abs=0.15)  # 598 residuals: σ = 0.06
+    matched = match(driven(0.1), start=start, law=None)
+    assert matched.accepted, matched.reason
+    for j, name in enumerate(matched.free):
+        assert abs(matched.parameters[name] - PLANT[name]) < 4.0 * matched.standard_errors[j], name
+    assert matched.chi2 == pytest.approx(1.0, abs=0.15)  # 598 residuals: σ = 0.06
 
 
 def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
     """The sums are linear in the noise: their variance over random draws is that which is computed."""
     window = closed_loop().part(10, 70)
     experiment = Experiment(PLANT, ("exchange", "second_gain"), window, law=LAW)
-    found = experiment.tangents(experiment.values_of(PLANT))
+    tangents = experiment.tangents(experiment.values_of(PLANT))
     weights = np.array([[1.0, 0.5, 0.02, 0.02], [2.0, 1.0, 0.04, 0.04]])
-    sums, square = noise_scores(experiment, found, found.by * weights[0][:, None, None], weights)
-    assert sums.shape == (2 * len(found.outputs), 2)
+    sums, square = noise_scores(experiment, tangents, tangents.by * weights[0][:, None, None], weights)
+    assert sums.shape == (2 * len(tangents.outputs), 2)
     assert math.isfinite(square)
     # The second output's noise, at one sample, through a run that is disturbed there.
     k = 20
@@ -145,7 +147,7 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
         )  # fmt: skip
         changes.append(np.concatenate([y, u], axis=1).T)
     change = (changes[0] - changes[1]) / (2.0 * bump) * weights[1][:, None]
-    expected = np.einsum("cj,cjp->p", change, found.by * weights[0][:, None, None])
+    expected = np.einsum("cj,cjp->p", change, tangents.by * weights[0][:, None, None])
     np.testing.assert_allclose(sums[2 * k + 1], expected, rtol=1e-5, atol=1e-9)
 
 
@@ -153,49 +155,53 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
     """Both readings at once with matrices, against one after the other in compiled code."""
     window = driven(0.1)
     observer = Observer(PLANT, window.outputs[0], period=2.0, drift=[0.05, 0.05], start=[1.0, 2.0])
-    at = observer.states
+    states = observer.states
     covariance = observer.covariance
     noise = np.diag(MODEL.noise**2)
     for k in range(60):
-        of = covariance + noise
-        gain = covariance @ np.linalg.inv(of)
-        at = at + gain @ (window.outputs[k] - at)
+        innovation_covariance = covariance + noise
+        gain = covariance @ np.linalg.inv(innovation_covariance)
+        states = states + gain @ (window.outputs[k] - states)
         covariance = (np.eye(2) - gain) @ covariance
         innovations, variances = observer.correct(window.outputs[k])
-        assert np.log(variances).sum() == pytest.approx(np.linalg.slogdet(of)[1], rel=1e-9)
+        assert np.log(variances).sum() == pytest.approx(np.linalg.slogdet(innovation_covariance)[1], rel=1e-9)
         assert innovations.shape == (2,)
-        np.testing.assert_allclose(observer.states, at, rtol=1e-9)
+        np.testing.assert_allclose(observer.states, states, rtol=1e-9)
         np.testing.assert_allclose(observer.covariance, covariance, rtol=1e-7)
         slopes = MODEL.kernels.predict(
-            PLANT.vector, at.copy(), np.zeros((2, 2)), np.zeros(2), window.inputs[k], np.zeros(0), 2.0,
+            PLANT.vector, states.copy(), np.zeros((2, 2)), np.zeros(2), window.inputs[k], np.zeros(0), 2.0,
             PLANT.steps(2.0), np.zeros((2, 0), dtype=np.int64),
         )  # fmt: skip
-        at = advance(PLANT, at, window.inputs[k], 2.0)
+        states = advance(PLANT, states, window.inputs[k], 2.0)
         covariance = slopes[:, :2] @ covariance @ slopes[:, :2].T + 0.05**2 * 2.0 * np.eye(2)
         observer.predict(window.inputs[k])
 
 
 def test_its_forecast_has_the_spread_of_random_runs() -> None:
-    rest = rest_at(PLANT, [60.0, 55.0])
+    at_rest = rest_at(PLANT, [60.0, 55.0])
     size = 40
     reference = np.tile([60.0, 55.0], (size, 1))
     reference[:, 0] += 1.0
-    integral = np.linalg.solve(LAW.C, rest.inputs - LAW.offset)
-    common = {"states": rest.states, "law": LAW, "controller": integral}
-    found = forecast_loop(
-        PLANT, covariance=np.diag([0.04, 0.09]), input=rest.inputs, drift=[0.02, 0.03], reference=reference,
+    integral = np.linalg.solve(LAW.C, at_rest.inputs - LAW.offset)
+    common = {"states": at_rest.states, "law": LAW, "controller": integral}
+    forecast = forecast_loop(
+        PLANT,
+        covariance=np.diag([0.04, 0.09]),
+        input=at_rest.inputs,
+        drift=[0.02, 0.03],
+        reference=reference,
         **common,
-    )  # fmt: skip
-    run = simulate_closed_loop(PLANT, reference, states=rest.states, law=LAW, controller=integral)
-    np.testing.assert_allclose(found.outputs, run.outputs, atol=1e-9)
+    )
+    run = simulate_closed_loop(PLANT, reference, states=at_rest.states, law=LAW, controller=integral)
+    np.testing.assert_allclose(forecast.outputs, run.outputs, atol=1e-9)
     rng = np.random.default_rng(3)
     runs = []
     strays = np.array([0.02, 0.03]) * math.sqrt(2.0)
     for _ in range(400):
-        x = rest.states + rng.standard_normal(2) * [0.2, 0.3]
-        x = advance(PLANT, x, rest.inputs, 2.0) + rng.standard_normal(2) * np.array([0.02, 0.03]) * math.sqrt(
-            2
-        )
+        x = at_rest.states + rng.standard_normal(2) * [0.2, 0.3]
+        x = advance(PLANT, x, at_rest.inputs, 2.0) + rng.standard_normal(2) * np.array(
+            [0.02, 0.03]
+        ) * math.sqrt(2)
         z = integral
         rows = []
         for k in range(size):
@@ -207,7 +213,7 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
         runs.append(rows)
     spread = np.var(np.array(runs), axis=0).T
     # A variance of 400 draws is known to 7 %: four of these, over the mean of a signal's samples.
-    ratio = np.mean(spread / found.variances, axis=1)
+    ratio = np.mean(spread / forecast.variances, axis=1)
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)
 
 

@@ -78,24 +78,24 @@ def again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]
         none = np.zeros(0)
         reached = kernels.advance(vector, still, np.array([3.0]), none, 1.0, 40)
         assert reached[0] == pytest.approx(6.0 * (1.0 - math.exp(-1.0)), rel=1e-6)
-        (kept,) = (tmp_path / "cache").iterdir()
-        return kept
+        (stored,) = (tmp_path / "cache").iterdir()
+        return stored
 
     return load
 
 
 def test_a_second_use_takes_what_the_first_has_compiled(again: Callable[[], Path]) -> None:
-    kept = again()
-    before = kept.stat()
-    assert again() == kept
-    assert kept.stat().st_mtime_ns == before.st_mtime_ns
+    stored = again()
+    before = stored.stat()
+    assert again() == stored
+    assert stored.stat().st_mtime_ns == before.st_mtime_ns
 
 
 def test_a_damaged_file_is_compiled_again(again: Callable[[], Path]) -> None:
-    kept = again()
-    whole = kept.read_bytes()
+    stored = again()
+    whole = stored.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], whole[:-1], bytes(reversed(whole))):
-        kept.write_bytes(damaged)
+        stored.write_bytes(damaged)
         assert again().read_bytes() == whole
 
 
@@ -124,13 +124,13 @@ def test_equations_are_recognised_whatever_else_changes_in_the_file(tmp_path: Pa
         exec(compile(text, str(file), "exec"), scope)
         return store.digest_of(derive(scope["Tank"](), frozenset(), frozenset()))
 
-    now = equations()
-    assert equations(comment=("    def equations", "    # m3\n    def equations")) == now
-    assert equations(default=("default=2.0, bounds=(0.5, 8.0)", "default=3.0, bounds=(0.1, 9.0)")) == now
-    assert equations(order=("self.inflow / self.area", "1 / self.area * self.inflow")) == now
-    assert equations(rate=("self.inflow / self.area", "2 * self.inflow / self.area")) != now
-    assert equations(start=("self.height: self.level", "self.height: self.level / 2")) != now
-    assert equations(output=("output=self.height", "output=self.height + 1")) != now
+    digest = equations()
+    assert equations(comment=("    def equations", "    # m3\n    def equations")) == digest
+    assert equations(default=("default=2.0, bounds=(0.5, 8.0)", "default=3.0, bounds=(0.1, 9.0)")) == digest
+    assert equations(order=("self.inflow / self.area", "1 / self.area * self.inflow")) == digest
+    assert equations(rate=("self.inflow / self.area", "2 * self.inflow / self.area")) != digest
+    assert equations(start=("self.height: self.level", "self.height: self.level / 2")) != digest
+    assert equations(output=("output=self.height", "output=self.height + 1")) != digest
     assert Motor.model("with friction").equations != Motor.model("without friction").equations
 
 
@@ -150,8 +150,10 @@ def test_kernels_are_compiled_once_for_all_plants() -> None:
 
 def test_every_plant_that_comes_along_is_prepared() -> None:
     for plant in PLANTS.values():
-        own = [name for name, structure in plant.structures.items() if structure.external is None]
-        assert [model.structure_name for model in prepare(plant)] == own
+        without_external = [
+            name for name, structure in plant.structures.items() if structure.external is None
+        ]
+        assert [model.structure_name for model in prepare(plant)] == without_external
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
@@ -159,9 +161,9 @@ def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> No
     blocked.write_text("not a folder")
     environment = {**os.environ, "TWINMATCH_CACHE": str(blocked / "cache")}
     words = (sys.executable, "-m", "twinmatch.cli", "prepare")
-    done = Process(*words, output=tmp_path / "said.txt", environment=environment, forked=True)
-    assert done.wait() == 2
-    lines = done.lines
+    process = Process(*words, output=tmp_path / "said.txt", environment=environment, forked=True)
+    assert process.wait() == 2
+    lines = process.lines
     assert len(lines) == 1
     assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: cannot keep the compiled equations there")
     assert "TWINMATCH_CACHE" in lines[0]

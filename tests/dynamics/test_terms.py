@@ -91,10 +91,12 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
     truth = Cask.model().parameters(k=0.08, a=0.15)
     run = simulate_driven(truth, filled, states=begin(truth, 9.0))
     noise = 0.1 * np.random.default_rng(3).standard_normal(filled.size)
-    found = match(Window(np.zeros(filled.size), run.output + noise, filled), start=Cask.model().parameters())
-    assert found.accepted, found.reason
-    assert found.parameters["k"] == pytest.approx(0.08, rel=0.02)
-    assert found.parameters["a"] == pytest.approx(0.15, rel=0.02)
+    matched = match(
+        Window(np.zeros(filled.size), run.output + noise, filled), start=Cask.model().parameters()
+    )
+    assert matched.accepted, matched.reason
+    assert matched.parameters["k"] == pytest.approx(0.08, rel=0.02)
+    assert matched.parameters["a"] == pytest.approx(0.15, rel=0.02)
 
 
 def test_a_root_that_stays_above_zero_is_exact() -> None:
@@ -143,20 +145,20 @@ def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
     c = np.array([[float(sympy.sympify(line.value).diff(z)) for z in states]])
     ours = control.ss(a, b, c, [[0.0]])
     theirs = control.tf(*control.pade(theta, order, numdeg=order - 1))
-    at = np.logspace(-2, 1, 30) / theta
+    frequencies = np.logspace(-2, 1, 30) / theta
     # `control.pade` works with factorials in floating point: nine digits are left at order 8.
-    np.testing.assert_allclose(ours(1j * at), theirs(1j * at), rtol=1e-8)
+    np.testing.assert_allclose(ours(1j * frequencies), theirs(1j * frequencies), rtol=1e-8)
 
 
 @pytest.mark.parametrize(("lag", "delay"), [(30.0, 8.0), (12.0, 5.5), (20.0, 20.0), (60.0, 3.0)])
 def test_a_delay_is_found_in_data_with_an_exact_one(lag: float, delay: float) -> None:
     window = recorded(0.8, lag, delay)
-    found = match(window, start=PIPE.parameters(), law=None)
-    assert found.status.value == "accepted"
+    matched = match(window, start=PIPE.parameters(), law=None)
+    assert matched.status.value == "accepted"
     # One per cent: the order of the approximation costs less than that while the delay is below the lag.
-    assert found.parameters["gain"] == pytest.approx(0.8, rel=0.005)
-    assert found.parameters["lag"] == pytest.approx(lag, rel=0.02)
-    assert found.parameters["delay"] == pytest.approx(delay, rel=0.01)
+    assert matched.parameters["gain"] == pytest.approx(0.8, rel=0.005)
+    assert matched.parameters["lag"] == pytest.approx(lag, rel=0.02)
+    assert matched.parameters["delay"] == pytest.approx(delay, rel=0.01)
     without = match(window, start=Exchanger.model("without").parameters(), law=None)
     assert without.status.value != "accepted" or without.parameters["lag"] > lag + 0.5 * delay
 
@@ -167,9 +169,9 @@ def test_the_loop_with_a_delay_is_matched() -> None:
     run = simulate_closed_loop(truth, reference, states=begin(truth, 30.0, input=12.5), law=Exchanger.loop)
     # From where the loop has come to rest, since what was in the pipe before is taken to be constant.
     window = Window(reference[300:], run.output[300:], run.input[300:], period=PERIOD)
-    found = match(window, start=PIPE.parameters(gain=1.0, lag=20.0, delay=5.0))
+    matched = match(window, start=PIPE.parameters(gain=1.0, lag=20.0, delay=5.0))
     for name in ("gain", "lag", "delay"):
-        assert found.parameters[name] == pytest.approx(truth[name], rel=1e-3)
+        assert matched.parameters[name] == pytest.approx(truth[name], rel=1e-3)
 
 
 @settings(max_examples=40, deadline=None)
@@ -189,14 +191,14 @@ def test_tangents_are_exact(delay: float, lag: float) -> None:
     window = recorded(0.8, 30.0, 8.0)
     experiment = Experiment(PIPE.parameters(), ("gain", "lag", "delay"), window, law=None)
     values = np.array([0.8, lag, delay])
-    by = experiment.tangents(values).by[0]
+    tangents = experiment.tangents(values).by[0]
     for j, step in enumerate((1e-5, 1e-3, 1e-3)):
         high = values.copy()
         low = values.copy()
         high[j] += step
         low[j] -= step
         slope = (experiment.simulate(high).output - experiment.simulate(low).output) / (2 * step)
-        np.testing.assert_allclose(by[:, j], slope, atol=2e-4 * (1.0 + np.abs(slope).max()))
+        np.testing.assert_allclose(tangents[:, j], slope, atol=2e-4 * (1.0 + np.abs(slope).max()))
 
 
 def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
@@ -272,8 +274,8 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
 
 @given(st.floats(-10.0, 10.0), st.floats(0.0, 3.0), st.floats(0.01, 5.0))
 def test_a_dead_zone_and_dry_friction(value: float, width: float, softness: float) -> None:
-    left = float(dead_zone(sympy.Float(value), sympy.Float(width)))
-    assert left == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
+    beyond_zone = float(dead_zone(sympy.Float(value), sympy.Float(width)))
+    assert beyond_zone == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
     force = float(dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness)))
     assert abs(force) < 2.0
     assert force * value <= 0.0

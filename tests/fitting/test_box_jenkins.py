@@ -148,9 +148,9 @@ def test_own_initial_state_gives_the_loss_of_the_estimate() -> None:
     rng = np.random.default_rng(9)
     u = rng.standard_normal(300)
     y = lfilter(B, F, u) + lfilter(C, D, 0.1 * rng.standard_normal(300))
-    found = estimate(u[50:], y[50:], "22221")
-    assert found.loss(u[50:], y[50:], found.initial_state) == pytest.approx(found.variance, rel=1e-9)
-    assert found.loss(u[50:], y[50:]) == pytest.approx(found.variance, rel=1e-9)
+    model = estimate(u[50:], y[50:], "22221")
+    assert model.loss(u[50:], y[50:], model.initial_state) == pytest.approx(model.variance, rel=1e-9)
+    assert model.loss(u[50:], y[50:]) == pytest.approx(model.variance, rel=1e-9)
 
 
 def test_arrays_of_a_model_cannot_be_written(model: BoxJenkins) -> None:
@@ -249,7 +249,11 @@ def test_normal_matrix_and_triangle_agree_with_the_matrix(seed: int, d: int, n: 
     signals = np.zeros((2, pad + count))
     signals[:, pad:] = rng.standard_normal((2, count))
     spans = np.array([[0, d, n], [1, 1, 3], [0, 0, 1 if d else 0]], dtype=np.int64)
-    columns = [signals[s, pad - k : pad - k + count] for s, at, m in spans for k in range(at, at + m)]
+    columns = [
+        signals[s, pad - k : pad - k + count]
+        for s, lowest_lag, m in spans
+        for k in range(lowest_lag, lowest_lag + m)
+    ]
     matrix = np.stack(columns, axis=1)[first:]
     # Sums of 117 products of order 1: rounding is some 1e-14 of them.
     G = correlate(signals, pad + first, spans)
@@ -388,8 +392,8 @@ def test_the_estimated_start_brings_the_loss_near_the_noise(
 ) -> None:
     window = recorded_hour(1).part(0, last)
     loss = {
-        how: estimate(window.reference, window.output, "22221", initial=how).variance
-        for how in ("estimate", "zero")
+        initial: estimate(window.reference, window.output, "22221", initial=initial).variance
+        for initial in ("estimate", "zero")
     }
     assert loss["estimate"] < bound
     assert loss["zero"] > 2.0 * loss["estimate"]
@@ -404,8 +408,10 @@ def test_closed_loop_gain_is_one(recorded_hour: Hour) -> None:
 
 def test_a_model_judges_itself_on_the_next_window(recorded_hour: Hour) -> None:
     hour = recorded_hour(5)
-    here = hour.part(200, 1400)
-    there = hour.part(1401, 2600)
-    model: BoxJenkins = estimate(here.reference, here.output, "22221")
-    assert model.loss(there.reference, there.output) < 1.5 * model.variance
-    assert model.loss(there.reference, there.output, "zero") > model.loss(there.reference, there.output)
+    fitted_window = hour.part(200, 1400)
+    next_window = hour.part(1401, 2600)
+    model: BoxJenkins = estimate(fitted_window.reference, fitted_window.output, "22221")
+    assert model.loss(next_window.reference, next_window.output) < 1.5 * model.variance
+    assert model.loss(next_window.reference, next_window.output, "zero") > model.loss(
+        next_window.reference, next_window.output
+    )

@@ -73,9 +73,9 @@ def test_any_rig_is_found_from_the_default_start(
     truth = RIG.parameters(seebeck=seebeck, conductance=conductance, heat_capacity=heat_capacity)
     window = record(truth, levels=(30.0, 30.0 + step, 35.0))
     posed = problem(window)
-    found = solve(posed, starts_for(posed, RIG.parameters()))
-    assert found.converged
-    assert found.values == pytest.approx([seebeck, conductance, heat_capacity], rel=1e-5)
+    estimate = solve(posed, starts_for(posed, RIG.parameters()))
+    assert estimate.converged
+    assert estimate.values == pytest.approx([seebeck, conductance, heat_capacity], rel=1e-5)
 
 
 def test_an_independent_program_finds_the_same(record: Recorder) -> None:
@@ -129,9 +129,9 @@ def test_the_covariance_is_honest(record: Recorder) -> None:
     errors = []
     for seed in range(60):
         posed = problem(record(TRUTH, seed=seed))
-        found = solve(posed, [posed.values_of(TRUTH)])
-        estimates.append(found.values)
-        errors.append(np.sqrt(np.diag(uncertainty(posed, found).covariance)))
+        estimate = solve(posed, [posed.values_of(TRUTH)])
+        estimates.append(estimate.values)
+        errors.append(np.sqrt(np.diag(uncertainty(posed, estimate).covariance)))
     spread = np.std(estimates, axis=0, ddof=1)
     truth = np.array([TRUTH[name] for name in FREE])
     # A standard deviation of 60 draws is known to a tenth; white-noise theory would give 0.6.
@@ -146,38 +146,38 @@ def test_the_covariance_is_honest(record: Recorder) -> None:
 def test_fisher_and_covariance_follow_the_noise(record: Recorder) -> None:
     window = record(TRUTH, seed=1)
     posed = problem(window)
-    found = solve(posed, [posed.values_of(TRUTH)])
-    known = uncertainty(posed, found)
+    estimate = solve(posed, [posed.values_of(TRUTH)])
+    knowledge = uncertainty(posed, estimate)
     coarse = Problem(window, posed.free, TRUTH, Noise(0.2, 14.0), Peltier.loop)
-    again = solve(coarse, [found.values])
-    other = uncertainty(coarse, again)
-    np.testing.assert_allclose(other.fisher, known.fisher / 4.0, rtol=1e-3)
+    coarse_estimate = solve(coarse, [estimate.values])
+    coarse_knowledge = uncertainty(coarse, coarse_estimate)
+    np.testing.assert_allclose(coarse_knowledge.fisher, knowledge.fisher / 4.0, rtol=1e-3)
     # The covariance is scaled by what is left, so the weights' common factor drops out.
-    np.testing.assert_allclose(other.covariance, known.covariance, rtol=1e-2)
-    assert np.all(np.linalg.eigvalsh(known.covariance) > 0.0)
-    assert known.condition == pytest.approx(np.sqrt(known.eigenvalues[-1] / known.eigenvalues[0]))
+    np.testing.assert_allclose(coarse_knowledge.covariance, knowledge.covariance, rtol=1e-2)
+    assert np.all(np.linalg.eigvalsh(knowledge.covariance) > 0.0)
+    assert knowledge.condition == pytest.approx(np.sqrt(knowledge.eigenvalues[-1] / knowledge.eigenvalues[0]))
 
 
 def test_gradient_and_information_are_those_of_the_residuals(record: Recorder) -> None:
     posed = problem(record(TRUTH, seed=1), (*FREE, "ambient"))
-    here = posed.evaluate(posed.values_of(TRUTH))
+    evaluated = posed.evaluate(posed.values_of(TRUTH))
     direction = 1e-4 * np.array([0.01, -0.05, 2.0, 0.5])
-    ahead, back = (posed.residuals(here.values + way).ravel() for way in (direction, -direction))
+    ahead, back = (posed.residuals(evaluated.values + way).ravel() for way in (direction, -direction))
     change = (ahead - back) / 2
-    residuals = posed.residuals(here.values).ravel()
-    assert here.cost == pytest.approx(residuals @ residuals, rel=1e-12)
-    assert here.gradient @ direction == pytest.approx(change @ residuals, rel=1e-5)
-    assert direction @ here.hessian @ direction == pytest.approx(change @ change, rel=1e-5)
+    residuals = posed.residuals(evaluated.values).ravel()
+    assert evaluated.cost == pytest.approx(residuals @ residuals, rel=1e-12)
+    assert evaluated.gradient @ direction == pytest.approx(change @ residuals, rel=1e-5)
+    assert direction @ evaluated.hessian @ direction == pytest.approx(change @ change, rel=1e-5)
     assert np.isfinite(posed.evaluate(posed.lower).hessian).all()
 
 
 def test_what_is_not_seen_has_infinite_covariance() -> None:
     window = Window(np.full(60, 296.0 - KELVIN), np.full(60, 296.0 - KELVIN), np.zeros(60))
     posed = problem(window)
-    found = Estimate(posed, posed.values_of(TRUTH), converged=True)
-    known = uncertainty(posed, found)
-    assert known.condition == np.inf
-    assert np.isinf(known.covariance).all()
+    estimate = Estimate(posed, posed.values_of(TRUTH), converged=True)
+    knowledge = uncertainty(posed, estimate)
+    assert knowledge.condition == np.inf
+    assert np.isinf(knowledge.covariance).all()
 
 
 def test_starts_cover_the_valley_of_what_is_free(record: Recorder) -> None:
@@ -298,9 +298,9 @@ def test_a_window_that_begins_in_a_transient() -> None:
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.standard_normal(20), 50)
         y = 10.0 * lfilter(gain, slow, u) + lfilter(C, D, rng.standard_normal(1000))
-        for initial, found in error.items():
+        for initial, gain_errors in error.items():
             model = estimate(u[700:], y[700:], "22221", initial=initial)
-            found.append(abs(model.B.sum() / model.F.sum() - 150.0) / 150.0)
+            gain_errors.append(abs(model.B.sum() / model.F.sum() - 150.0) / 150.0)
     # Noise of 1 through C/D on an output of some hundred: a gain good to a per cent or two.
     assert np.median(error["estimate"]) < 0.03
     assert np.median(error["zero"]) > 3.0 * np.median(error["estimate"])
@@ -326,8 +326,10 @@ def test_no_plain_search_finds_a_lower_loss(seed: int) -> None:
     for _ in range(8):
         c, d, f = (np.poly(rng.uniform(-0.5, 0.9, 2))[1:] for _ in range(3))
         x = np.concatenate((rng.standard_normal(2), c, d, f, np.zeros(4)))
-        found = least_squares(plain_errors, x, args=(u, y), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-        losses.append(2.0 * found.cost / u.size)
+        minimum = least_squares(
+            plain_errors, x, args=(u, y), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+        )
+        losses.append(2.0 * minimum.cost / u.size)
     model = estimate(u, y, "22221")
     assert model.variance == pytest.approx(min(losses), rel=1e-6)
 

@@ -78,8 +78,8 @@ FLAWS = {
     ],
 )
 def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reason: str) -> None:
-    found, sentence = judge(replace(GOOD, **flaw), GateLimits())
-    assert found is status
+    judged_status, sentence = judge(replace(GOOD, **flaw), GateLimits())
+    assert judged_status is status
     assert reason in sentence
 
 
@@ -99,8 +99,8 @@ def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> N
         GOOD, free=unknown("seebeck", "conductance", "ambient"), values=np.array([0.075, 0.6, 296.0])
     )
     for error, status in ((4.0, Status.ACCEPTED), (6.0, Status.NOT_IDENTIFIABLE)):
-        known = replace(ambient, standard_errors=np.array([0.005, 0.03, error]))
-        assert judge(known, GateLimits())[0] is status
+        with_error = replace(ambient, standard_errors=np.array([0.005, 0.03, error]))
+        assert judge(with_error, GateLimits())[0] is status
 
 
 def test_a_state_at_the_start_need_not_be_known_well() -> None:
@@ -235,27 +235,27 @@ def test_a_rich_window_determines_all(record: Recorder) -> None:
 
 def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
     """It is made on the simulated rig, forty times, and the spread of the estimates compared."""
-    said = re.fullmatch(
+    suggestion = re.fullmatch(
         r"a step from 36 to (\d+) °C would determine (\w+) about (\d+(?:\.\d)?) times better",
         small_step.suggestion,
     )
-    assert said is not None
-    level = float(said[1])
-    name = said[2]
-    promised = float(said[3])
+    assert suggestion is not None
+    level = float(suggestion[1])
+    name = suggestion[2]
+    promised = float(suggestion[3])
     place = small_step.free.index(name)
     before = small_step.standard_errors[place]
     reference = np.concatenate([np.full(60, 36.0), np.full(240, level)])
-    found = []
+    improvements = []
     for seed in range(12):
         sensor = Sensor(noise=0.1).realise(reference.size, 1.0, seed)
         response = simulate_closed_loop(
             TRUTH, reference, states=begin(TRUTH, 36.0), controller=PidState(integral=40.0), sensor=sensor
         )
         after = match(Window(reference, response.output, response.input), start=TRUTH)
-        found.append(before / after.standard_errors[place])
+        improvements.append(before / after.standard_errors[place])
     assert promised > 2.0
-    assert np.median(found) == pytest.approx(promised, rel=0.5)
+    assert np.median(improvements) == pytest.approx(promised, rel=0.5)
 
 
 def test_without_a_fit_nothing_is_said(record: Recorder) -> None:
@@ -330,9 +330,9 @@ def test_kicks_of_the_camera_hardly_move_the_parameters() -> None:
     temperature = clean.output.copy()
     temperature[150::180] += 5.0
     kicked = Window(clean.reference, temperature, clean.input)
-    one, other = (fit_structure([w], HELD).parameters for w in (clean, kicked))
+    clean_fit, kicked_fit = (fit_structure([w], HELD).parameters for w in (clean, kicked))
     # Least squares of the same would move by as much as the six kicks of 50 σ ask: a tenth and more.
-    assert other["heat_capacity"] == pytest.approx(one["heat_capacity"], rel=0.03)
+    assert kicked_fit["heat_capacity"] == pytest.approx(clean_fit["heat_capacity"], rel=0.03)
 
 
 def test_the_first_samples_are_not_judged() -> None:
@@ -346,8 +346,8 @@ def test_the_first_samples_are_not_judged() -> None:
 def test_a_search_continues_from_an_earlier_fit() -> None:
     window = recorded(TRUTH_STRUCTURES, seed=2)
     thorough = fit_structure([window], FULL)
-    again = fit_structure([window], FULL, start=thorough, thorough=False)
-    assert again.cost == pytest.approx(thorough.cost, rel=1e-6)
+    continued = fit_structure([window], FULL, start=thorough, thorough=False)
+    assert continued.cost == pytest.approx(thorough.cost, rel=1e-6)
     quick = fit_structure([window], FULL, thorough=False)
     assert quick.cost == pytest.approx(thorough.cost, rel=1e-2)
 
@@ -378,8 +378,8 @@ def test_an_independent_search_finds_the_same() -> None:
 
 def _driven_round(model: Model, values: dict[str, float], window: Window) -> np.ndarray:
     run = simulate_window(model.parameters(**values), window)
-    left = np.stack([window.output[2:] - run.output, window.input[2:] - run.input])
-    return left[:, SETTLE:]
+    residuals = np.stack([window.output[2:] - run.output, window.input[2:] - run.input])
+    return residuals[:, SETTLE:]
 
 
 def test_a_structure_counts_what_it_is_free_to_choose() -> None:

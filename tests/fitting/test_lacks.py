@@ -31,8 +31,10 @@ def test_the_lines_that_are_shown_are_the_second_store(tmp_path: Path) -> None:
     """Heavy walls beside the room; put into the file as they stand, the lines leave the noise."""
     window = recorded_room(1, 2)
     compared = compare_structures([window], Room, SETTINGS)
-    (found,) = compared.findings
-    assert found.what.startswith("the structure 'one store' leaves residuals: a second store beside inner of")
+    (finding,) = compared.findings
+    assert finding.what.startswith(
+        "the structure 'one store' leaves residuals: a second store beside inner of"
+    )
     titles = [note.startswith("lines that add a second store beside inner") for note in compared.notes]
     title = titles.index(True)
     lines = [note[2:] for note in compared.notes[title + 1 :]]
@@ -48,7 +50,7 @@ def test_the_lines_that_are_shown_are_the_second_store(tmp_path: Path) -> None:
     path.write_text(f"from twinmatch.dynamics import *\n\n\n{source.rstrip()}\n{body}\n")
     plant = find_plant(str(path))
     fitted = fit_structure([window], plant.model(), law=None)
-    left = (fitted.measured[0] - fitted.simulated[0]) / plant.output.noise
+    residuals = (fitted.measured[0] - fitted.simulated[0]) / plant.output.noise
     assert window.period == PERIOD
     # White noise of the declared size: within three standard errors of 500 samples.
-    assert float((left**2).mean()) == pytest.approx(1.0, abs=0.2)
+    assert float((residuals**2).mean()) == pytest.approx(1.0, abs=0.2)

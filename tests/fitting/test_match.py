@@ -70,10 +70,10 @@ def test_parameters_that_are_not_free_stay(record: Recorder) -> None:
 
 def test_the_same_window_gives_the_same_bits(record: Recorder) -> None:
     window = record(WITH_SINK, seed=4)
-    one, two = (match(window, free=PLATE, start=WITH_SINK) for _ in range(2))
-    assert one.parameters == two.parameters
-    assert one.reason == two.reason
-    assert one.covariance.tobytes() == two.covariance.tobytes()
+    first, second = (match(window, free=PLATE, start=WITH_SINK) for _ in range(2))
+    assert first.parameters == second.parameters
+    assert first.reason == second.reason
+    assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
 def test_a_moving_sink_brings_its_unknown_start(record: Recorder) -> None:
@@ -299,14 +299,14 @@ def driven(seed: int | None = 5) -> Window:
 
 
 def test_a_motor_is_found_exactly_without_noise_and_through_its_sensor() -> None:
-    found = match(spun(seed=None), start=MOTOR.parameters())
-    assert found.free == ("k", "j", "b")
-    assert found.accepted
-    for name in found.free:
-        assert found.parameters[name] == pytest.approx(TRUTH_ANY_PLANT[name], rel=1e-6)
-    found = match(spun(), start=MOTOR.parameters())
-    assert found.accepted
-    assert within(found, TRUTH_ANY_PLANT)
+    a_match = match(spun(seed=None), start=MOTOR.parameters())
+    assert a_match.free == ("k", "j", "b")
+    assert a_match.accepted
+    for name in a_match.free:
+        assert a_match.parameters[name] == pytest.approx(TRUTH_ANY_PLANT[name], rel=1e-6)
+    a_match = match(spun(), start=MOTOR.parameters())
+    assert a_match.accepted
+    assert within(a_match, TRUTH_ANY_PLANT)
 
 
 def test_words_use_the_plant_s_own_units() -> None:
@@ -316,19 +316,19 @@ def test_words_use_the_plant_s_own_units() -> None:
 
 
 def test_a_lag_without_a_known_loop_is_found_from_its_input() -> None:
-    found = match(driven(None), start=LAG.parameters())
-    assert found.accepted
-    assert found.parameters["gain"] == pytest.approx(3.0, rel=1e-6)
-    assert found.parameters["lag"] == pytest.approx(7.0, rel=1e-6)
-    assert found.fit.y == pytest.approx(1.0, abs=1e-6)
-    assert np.isnan(found.fit.u)
-    assert found.suggestion == ""
+    a_match = match(driven(None), start=LAG.parameters())
+    assert a_match.accepted
+    assert a_match.parameters["gain"] == pytest.approx(3.0, rel=1e-6)
+    assert a_match.parameters["lag"] == pytest.approx(7.0, rel=1e-6)
+    assert a_match.fit.y == pytest.approx(1.0, abs=1e-6)
+    assert np.isnan(a_match.fit.u)
+    assert a_match.suggestion == ""
 
 
 def test_what_a_driven_twin_says_of_its_error_is_that_of_plain_regression() -> None:
     """Noise meets nothing on its way round, so (JᵀJ)⁻¹ of scipy's own Jacobian is the covariance."""
     window = driven()
-    found = match(window, start=LAG.parameters())
+    a_match = match(window, start=LAG.parameters())
 
     def residuals(x: np.ndarray) -> np.ndarray:
         plant = LAG.parameters(gain=x[0], lag=x[1])
@@ -336,18 +336,18 @@ def test_what_a_driven_twin_says_of_its_error_is_that_of_plain_regression() -> N
         return (window.output[2:] - run.output) / Lag.y.noise
 
     theirs = least_squares(residuals, [2.5, 6.0], x_scale=[1.0, 5.0], diff_step=1e-7)
-    assert [found.parameters["gain"], found.parameters["lag"]] == pytest.approx(theirs.x, rel=1e-5)
-    plain = np.sqrt(np.diag(np.linalg.inv(theirs.jac.T @ theirs.jac)) * found.chi2)
-    assert found.standard_errors == pytest.approx(plain, rel=0.05)
-    assert found.accepted
+    assert [a_match.parameters["gain"], a_match.parameters["lag"]] == pytest.approx(theirs.x, rel=1e-5)
+    plain = np.sqrt(np.diag(np.linalg.inv(theirs.jac.T @ theirs.jac)) * a_match.chi2)
+    assert a_match.standard_errors == pytest.approx(plain, rel=0.05)
+    assert a_match.accepted
 
 
 def test_an_input_that_stands_still_excites_nothing() -> None:
     still = Window(np.zeros(100), np.full(100, 6.0), np.full(100, 2.0))
-    found = match(still, start=LAG.parameters())
-    assert found.status is Status.NO_EXCITATION
+    a_match = match(still, start=LAG.parameters())
+    assert a_match.status is Status.NO_EXCITATION
     far = "so far that the output would show it, by 0.05 m within the window's 100 samples"
-    assert found.reason == f"the input did not move {far}"
+    assert a_match.reason == f"the input did not move {far}"
 
 
 def test_names_of_another_plant_are_refused() -> None:
@@ -362,8 +362,8 @@ FREE = ("seebeck", "conductance", "heat_capacity")
 
 def fitted(window: Window) -> tuple[Problem, Estimate, Uncertainty]:
     posed = Problem(window, FREE, TRUTH, Noise.of(Peltier), Peltier.loop)
-    found = solve(posed, starts_for(posed, TRUTH))
-    return posed, found, uncertainty(posed, found)
+    estimate = solve(posed, starts_for(posed, TRUTH))
+    return posed, estimate, uncertainty(posed, estimate)
 
 
 @pytest.mark.parametrize(("levels", "seed"), [((30.0, 55.0, 42.0), 3), ((30.0, 45.0), 5), ((60.0, 35.0), 1)])
@@ -371,19 +371,21 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
     record: Recorder, levels: tuple[float, ...], seed: int
 ) -> None:
     """Each finite end by brute force: the others fitted by scipy with this parameter held there."""
-    posed, found, known = fitted(record(TRUTH, levels=levels, seed=seed))
-    intervals = profile_intervals(posed, found.values, known.covariance)
-    rises = QUANTILE * np.diag(known.covariance) / np.diag(np.linalg.inv(known.fisher))
-    least = found.chi2 * found.residuals.size
+    posed, estimate, knowledge = fitted(record(TRUTH, levels=levels, seed=seed))
+    intervals = profile_intervals(posed, estimate.values, knowledge.covariance)
+    rises = QUANTILE * np.diag(knowledge.covariance) / np.diag(np.linalg.inv(knowledge.fisher))
+    least = estimate.chi2 * estimate.residuals.size
     finite = 0
     for i, side in np.ndindex(3, 2):
         end = intervals[i, side]
         if not np.isfinite(end) or end == 0.0:
             continue
         finite += 1
-        others = [j for j in range(3) if j != i]
+        other_places = [j for j in range(3) if j != i]
 
-        def residuals(x: np.ndarray, i: int = i, end: float = end, others: list[int] = others) -> np.ndarray:
+        def residuals(
+            x: np.ndarray, i: int = i, end: float = end, others: list[int] = other_places
+        ) -> np.ndarray:
             values = np.empty(3)
             values[i], values[others] = end, x
             return posed.residuals(values).ravel()
@@ -391,26 +393,26 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
         fits = [
             least_squares(
                 residuals,
-                start[others],
-                bounds=(posed.lower[others], posed.upper[others]),
-                x_scale=posed.scales[others],
+                start[other_places],
+                bounds=(posed.lower[other_places], posed.upper[other_places]),
+                x_scale=posed.scales[other_places],
                 diff_step=1e-6,
             ).cost
-            for start in (found.values, *starts_for(posed, TRUTH))
+            for start in (estimate.values, *starts_for(posed, TRUTH))
         ]
         assert (2 * min(fits) - least) / rises[i] == pytest.approx(1.0, abs=0.05)
     assert finite >= 4
 
 
 def test_a_well_determined_interval_is_that_of_the_variance(record: Recorder) -> None:
-    posed, _, known = fitted(record(TRUTH, seed=2))
+    posed, _, knowledge = fitted(record(TRUTH, seed=2))
     alone = Problem(posed.window, ("heat_capacity",), TRUTH, Noise.of(Peltier), Peltier.loop)
     single = solve(alone, [alone.values_of(TRUTH)])
     of_one = uncertainty(alone, single)
     (low, high) = profile_intervals(alone, single.values, of_one.covariance)[0]
     half = 1.96 * np.sqrt(of_one.covariance[0, 0])
     assert [low, high] == pytest.approx([single.values[0] - half, single.values[0] + half], rel=0.01)
-    assert high - low < 0.5 * 2 * 1.96 * np.sqrt(known.covariance[2, 2])
+    assert high - low < 0.5 * 2 * 1.96 * np.sqrt(knowledge.covariance[2, 2])
 
 
 def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
@@ -418,18 +420,18 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
     truth = np.array([TRUTH[name] for name in FREE])
     inside = []
     for seed in range(80):
-        posed, found, known = fitted(record(TRUTH, levels=(30.0, 50.0), seed=seed))
-        low, high = profile_intervals(posed, found.values, known.covariance).T
+        posed, estimate, knowledge = fitted(record(TRUTH, levels=(30.0, 50.0), seed=seed))
+        low, high = profile_intervals(posed, estimate.values, knowledge.covariance).T
         inside.append((low <= truth) & (truth <= high))
     assert np.all(np.mean(inside, axis=0) >= 0.86)
     assert 0.91 <= np.mean(inside) <= 0.995
 
 
 def test_what_the_window_does_not_close_is_open(record: Recorder) -> None:
-    posed, found, known = fitted(record(TRUTH, levels=(30.0, 32.0), seed=4))
-    intervals = profile_intervals(posed, found.values, known.covariance)
+    posed, estimate, knowledge = fitted(record(TRUTH, levels=(30.0, 32.0), seed=4))
+    intervals = profile_intervals(posed, estimate.values, knowledge.covariance)
     assert np.argwhere(np.isinf(intervals)).tolist() == [[0, 0]]  # a Seebeck coefficient as small as you like
-    infinite = profile_intervals(posed, found.values, np.full((3, 3), np.inf))
+    infinite = profile_intervals(posed, estimate.values, np.full((3, 3), np.inf))
     assert infinite[:, 1].tolist() == [np.inf] * 3
     assert infinite[:, 0].tolist() == [-np.inf, 0.0, -np.inf]
 
@@ -441,19 +443,19 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
     )
     posed = Problem(record(rig, seed=1), ("conductance",), rig, Noise.of(Peltier), Peltier.loop)
     assert posed.names == ("conductance", "sink")
-    found = solve(posed, [posed.values_of(rig)])
-    known = uncertainty(posed, found)
-    low, high = profile_intervals(posed, found.values, known.covariance)[0]
-    rise = QUANTILE * known.covariance[0, 0] / np.linalg.inv(known.fisher)[0, 0]
-    least = found.chi2 * found.residuals.size
+    estimate = solve(posed, [posed.values_of(rig)])
+    knowledge = uncertainty(posed, estimate)
+    low, high = profile_intervals(posed, estimate.values, knowledge.covariance)[0]
+    rise = QUANTILE * knowledge.covariance[0, 0] / np.linalg.inv(knowledge.fisher)[0, 0]
+    least = estimate.chi2 * estimate.residuals.size
     for end in (low, high):
         fitted_start = least_squares(
             lambda x, end=end: posed.residuals(np.array([end, x[0]])).ravel(),
-            [found.values[1]],
+            [estimate.values[1]],
             diff_step=1e-6,
         )
         assert (2 * fitted_start.cost - least) / rise == pytest.approx(1.0, abs=0.05)
-    assert low < found.values[0] < high
+    assert low < estimate.values[0] < high
 
 
 # --- what is known beforehand ---
@@ -461,14 +463,14 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
 
 def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
-    known = {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)}
-    found = match(window, start=START, prior=known)
+    expected = {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)}
+    a_match = match(window, start=START, prior=expected)
     problem = Problem(window, PLATE, START, Noise.of(Peltier), Peltier.loop)
 
     def residuals(values: FloatArray) -> FloatArray:
         pulled = [  # one independent residual is 30 of those that follow one another
-            math.sqrt(30.0) * (values[PLATE.index(name)] - each.mean) / each.deviation
-            for name, each in known.items()
+            math.sqrt(30.0) * (values[PLATE.index(name)] - expectation.mean) / expectation.deviation
+            for name, expectation in expected.items()
         ]
         return np.concatenate([problem.residuals(values).ravel(), pulled])
 
@@ -476,9 +478,9 @@ def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: 
         residuals, problem.values_of(START), x_scale=[0.1, 1.0, 30.0], xtol=1e-12, ftol=1e-12
     )
     # Both searches end where a step changes the cost by less than a part in a million.
-    np.testing.assert_allclose([found.parameters[n] for n in PLATE], best.x, rtol=2e-4)
+    np.testing.assert_allclose([a_match.parameters[n] for n in PLATE], best.x, rtol=2e-4)
     plain = match(window, start=START)
-    assert abs(found.parameters["conductance"] - 0.5) < abs(plain.parameters["conductance"] - 0.5)
+    assert abs(a_match.parameters["conductance"] - 0.5) < abs(plain.parameters["conductance"] - 0.5)
     right = match(window, start=START, prior={n: Expectation(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE})
     # What the window leaves open is known better. The prior weighs as if the residuals were correlated
     # as on a real rig; these are not, so the conductance, which they show, gets some of the prior's error.
@@ -492,19 +494,19 @@ def test_a_vague_prior_changes_nothing_and_a_window_outweighs_a_wrong_one(record
     for name in PLATE:
         assert vague.parameters[name] == pytest.approx(plain.parameters[name], rel=1e-4)
     wrong = match(window, start=START, prior={"conductance": Expectation(1.3 * TRUTH["conductance"], 0.06)})
-    off = abs(wrong.parameters["conductance"] / TRUTH["conductance"] - 1.0)
-    assert off < 0.1, "a window of 300 samples moves a prior that is off by three deviations"
+    error = abs(wrong.parameters["conductance"] / TRUTH["conductance"] - 1.0)
+    assert error < 0.1, "a window of 300 samples moves a prior that is off by three deviations"
 
 
 def test_a_prior_that_is_right_makes_windows_that_show_little_agree(record: Recorder) -> None:
     """Small steps: what one window leaves open was accepted anywhere in its valley."""
     right = {name: Expectation(TRUTH[name], 0.1 * TRUTH[name]) for name in PLATE}
     spread = {}
-    for name, known in (("without", {}), ("with", right)):
-        found = [
-            match(record(TRUTH, levels=(40.0, 43.0, 40.0), seed=k), start=START, prior=known)
+    for name, prior in (("without", {}), ("with", right)):
+        matches = [
+            match(record(TRUTH, levels=(40.0, 43.0, 40.0), seed=k), start=START, prior=prior)
             for k in range(6)
         ]
-        spread[name] = np.std([[m.parameters[n] / TRUTH[n] for n in PLATE] for m in found], axis=0)
+        spread[name] = np.std([[m.parameters[n] / TRUTH[n] for n in PLATE] for m in matches], axis=0)
     assert (spread["with"] <= 0.6 * spread["without"]).all()
     assert (spread["with"] <= 0.1).all()

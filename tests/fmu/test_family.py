@@ -39,8 +39,8 @@ def a_session(samples: int = 800, seed: int = 5) -> list[Sample]:
         states=begin(truth, 38.0),
         sensor=Peltier.sensor.realise(samples, 1.0, seed),
     )
-    each = zip(reference.tolist(), run.output.tolist(), run.input.tolist(), strict=True)
-    return [Sample(k, 10**9 * k, *values) for k, values in enumerate(each)]
+    rows = zip(reference.tolist(), run.output.tolist(), run.input.tolist(), strict=True)
+    return [Sample(k, 10**9 * k, *values) for k, values in enumerate(rows)]
 
 
 def judged(samples: list[Sample]) -> Judgement:
@@ -50,8 +50,8 @@ def judged(samples: list[Sample]) -> Judgement:
 @pytest.fixture
 def only_fmus(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside the matches nothing competes but FMUs, which keeps the test short."""
-    own = {n: s if is_fmu(n) else _unwatched(s) for n, s in Peltier.structures.items()}
-    monkeypatch.setattr(Peltier, "structures", own)
+    structures = {n: s if is_fmu(n) else _unwatched(s) for n, s in Peltier.structures.items()}
+    monkeypatch.setattr(Peltier, "structures", structures)
 
 
 def _unwatched(structure: Structure) -> Structure:
@@ -69,10 +69,10 @@ def test_wrong_physics_loses_the_choice_of_structures(
     wrong = adopted(wrong_fmu, "wrong")
     choice = choose_structure(window, [wrong, right, NATIVE])
     assert choice.chosen != wrong.structure_name
-    off = {score.name: score.off for score in choice.scores}
+    error_of = {score.name: score.off for score in choice.scores}
     # The right one is the native one; the wrong one errs in the transient of the part held back.
-    assert off[right.structure_name] == pytest.approx(off["held sink"], rel=1e-6)
-    assert off[wrong.structure_name] > 1.2 * off["held sink"]
+    assert error_of[right.structure_name] == pytest.approx(error_of["held sink"], rel=1e-6)
+    assert error_of[wrong.structure_name] > 1.2 * error_of["held sink"]
 
 
 @pytest.mark.usefixtures("only_fmus")
@@ -159,31 +159,31 @@ def test_a_session_is_verified_with_its_own_fmu_only(
 ) -> None:
     native = tuple(Peltier.structures)
     check_fmus("x", Peltier, native)
-    then = adopted(wrong_fmu, "the shop's").structure_name
-    check_fmus("x", Peltier, (*native, then))
+    old_name = adopted(wrong_fmu, "the shop's").structure_name
+    check_fmus("x", Peltier, (*native, old_name))
     with pytest.raises(ForeignError, match="was judged without the FMU"):
         check_fmus("x", Peltier, native)
-    now = adopted(exchange_fmu, "the shop's").structure_name
-    assert now != then
-    assert then not in Peltier.structures
+    new_name = adopted(exchange_fmu, "the shop's").structure_name
+    assert new_name != old_name
+    assert old_name not in Peltier.structures
     with pytest.raises(ForeignError, match=r"the one given, .* is another FMU or has another map"):
-        check_fmus("x", Peltier, (*native, then))
+        check_fmus("x", Peltier, (*native, old_name))
 
 
 def test_a_page_shows_an_fmu_that_it_does_not_have(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
     parameters = adopted(exchange_fmu).parameters(seebeck=0.06)
     tree = parameters_tree(parameters)
     Peltier.disown(parameters.model.structure_name)
-    found = parameters_of(tree)
-    assert found is not None
-    assert found.model.structure_name == parameters.model.structure_name
-    assert dict(found) == dict(parameters)
-    assert found.model not in watched(Peltier)
+    restored = parameters_of(tree)
+    assert restored is not None
+    assert restored.model.structure_name == parameters.model.structure_name
+    assert dict(restored) == dict(parameters)
+    assert restored.model not in watched(Peltier)
     with pytest.raises(StructureLostError, match="is not loaded in this process"):
-        begin(found, 30.0)
+        begin(restored, 30.0)
     with pytest.raises(ForeignError, match="give that FMU's map file"):
-        check_fmus("x", Peltier, [found.model.structure_name])
-    again = adopted(exchange_fmu)
-    assert not again.lost
+        check_fmus("x", Peltier, [restored.model.structure_name])
+    adopted_again = adopted(exchange_fmu)
+    assert not adopted_again.lost
     with pytest.raises(PlantError, match="no structure 'nobody knows it'"):
         parameters_of({**tree, "structure": "nobody knows it"})

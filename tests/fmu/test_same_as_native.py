@@ -72,16 +72,19 @@ def test_a_run_is_the_same(model: Model) -> None:
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_differences_are_the_exact_tangents(model: Model) -> None:
     window = a_window()
-    found = []
-    for one in (NATIVE, model):
-        experiment = Experiment(one.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window)
-        values = experiment.values_of(one.parameters(**TRUTH))
-        found.append((experiment.tangents(values), *experiment.normal(values)))
-    (exact, cost, gradient, hessian), (tangents, *normal) = found
+    results = []
+    for compared_model in (NATIVE, model):
+        experiment = Experiment(
+            compared_model.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window
+        )
+        values = experiment.values_of(compared_model.parameters(**TRUTH))
+        results.append((experiment.tangents(values), *experiment.normal(values)))
+    (exact, cost, gradient, hessian), (tangents, *normal) = results
     for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_input", 1e-7), ("seen", 1e-9)):
-        one = getattr(exact, name)
-        other = getattr(tangents, name)
-        np.testing.assert_allclose(other, one, rtol=0, atol=size * np.abs(one).max(), err_msg=name)
+        expected = getattr(exact, name)
+        by_differences = getattr(tangents, name)
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(by_differences, expected, rtol=0, atol=size * largest, err_msg=name)
     assert normal[0] == pytest.approx(cost, rel=1e-7)  # native steps are good to that
     np.testing.assert_allclose(normal[1], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max())
     np.testing.assert_allclose(normal[2], hessian, rtol=1e-4)
@@ -90,24 +93,29 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_an_observer_follows_as_the_native_one_does(model: Model) -> None:
     window = a_window(60)
-    found = []
-    for one in (NATIVE, model):
+    results = []
+    for compared_model in (NATIVE, model):
         observer = Observer(
-            one.parameters(**TRUTH), window.output[0], period=1.0, drift=[0.03], start=[4.5], limit=4.0
+            compared_model.parameters(**TRUTH),
+            window.output[0],
+            period=1.0,
+            drift=[0.03],
+            start=[4.5],
+            limit=4.0,
         )
         for y, u in zip(window.output.tolist(), window.input.tolist(), strict=True):
             observer.correct(y)
             observer.predict(u)
-        found.append((observer.states[0], observer.joint[0, 0]))
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+        results.append((observer.states[0], observer.joint[0, 0]))
+    np.testing.assert_allclose(results[1], results[0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
-    found = []
-    for one in (NATIVE, model):
-        parameters = one.parameters(**TRUTH)
-        found.append(
+    results = []
+    for compared_model in (NATIVE, model):
+        parameters = compared_model.parameters(**TRUTH)
+        results.append(
             forecast_loop(
                 parameters,
                 states=begin(parameters, 40.0),
@@ -118,18 +126,20 @@ def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
                 reference=np.repeat([40.0, 55.0], [10, 50]),
             )
         )
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_allclose(other, one, rtol=1e-5, atol=1e-5)
+    for native, foreign in zip(*results, strict=True):
+        np.testing.assert_allclose(foreign, native, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
 def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
-    one = NATIVE.parameters(**TRUTH)
-    other = model.parameters(**TRUTH)
-    assert rest_at(other, 50.0).input == pytest.approx(rest_at(one, 50.0).input, abs=1e-5)
+    native = NATIVE.parameters(**TRUTH)
+    foreign = model.parameters(**TRUTH)
+    assert rest_at(foreign, 50.0).input == pytest.approx(rest_at(native, 50.0).input, abs=1e-5)
     for name in ("A", "B", "C"):
         np.testing.assert_allclose(
-            getattr(linearised(other, 50.0, 1.0), name), getattr(linearised(one, 50.0, 1.0), name), rtol=1e-5
+            getattr(linearised(foreign, 50.0, 1.0), name),
+            getattr(linearised(native, 50.0, 1.0), name),
+            rtol=1e-5,
         )
 
 
@@ -137,12 +147,12 @@ def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
 def test_a_match_finds_the_same_parameters(model: Model) -> None:
     window = a_window(100)
     native = match(window, start=NATIVE.parameters())
-    found = match(window, start=model.parameters())
-    assert found.status is native.status
-    assert found.free == native.free
+    foreign = match(window, start=model.parameters())
+    assert foreign.status is native.status
+    assert foreign.free == native.free
     for name in native.free:
-        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
-    np.testing.assert_allclose(found.covariance, native.covariance, rtol=1e-2)
+        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+    np.testing.assert_allclose(foreign.covariance, native.covariance, rtol=1e-2)
 
 
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
@@ -154,19 +164,22 @@ def test_a_match_to_a_recorded_step_finds_the_same_parameters(
     step = int(steps[steps > 60][0]) + hour.first
     window = hour.part(step - 40, step + 160)
     native = match(window, start=NATIVE.parameters())
-    found = match(window, start=model.parameters())
-    assert found.status is native.status
+    foreign = match(window, start=model.parameters())
+    assert foreign.status is native.status
     for name in native.free:
-        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
 def test_a_structure_is_fitted_alike(model: Model) -> None:
     window = a_window(200)
-    native, found = (fit_structure([window], one, thorough=False, informed=True) for one in (NATIVE, model))
+    native, foreign = (
+        fit_structure([window], compared_model, thorough=False, informed=True)
+        for compared_model in (NATIVE, model)
+    )
     for name in NATIVE.structure.free:
-        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
-    assert found.charge == pytest.approx(native.charge, rel=1e-4)
+        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+    assert foreign.charge == pytest.approx(native.charge, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
@@ -182,9 +195,9 @@ def test_any_plate_moves_as_its_equations_say(
 ) -> None:
     values = {"seebeck": seebeck, "conductance": conductance, "heat_capacity": heat_capacity}
     reference = np.repeat([begun, begun + 10.0], 15)
-    one = NATIVE.parameters(**values)
-    other = model.parameters(**values)
-    runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (one, other)]
+    native = NATIVE.parameters(**values)
+    foreign = model.parameters(**values)
+    runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (native, foreign)]
     np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
 
@@ -212,14 +225,14 @@ def test_units_are_converted_and_disturbances_given(python_fmu: Path, tmp_path: 
     heater = np.linspace(0.0, 1.0, 20)
     room = np.linspace(20.0, 30.0, 20)
     period = 2.0
-    own = np.array([30.0 + KELVIN])
+    plate_state = np.array([30.0 + KELVIN])
     expected = []
     for u, d in zip(heater.tolist(), room.tolist(), strict=True):
-        expected.append(own[0] - KELVIN)
+        expected.append(plate_state[0] - KELVIN)
         sink = NATIVE.parameters(
             seebeck=0.06, resistance=3.3, conductance=0.35, heat_capacity=15.0, ambient=d + KELVIN
         )
-        own = advance(sink, own, (u - 0.1) / 0.01, period)
+        plate_state = advance(sink, plate_state, (u - 0.1) / 0.01, period)
     parameters = model.parameters()
     states = begin(parameters, 30.0, disturbances=np.array([20.0]))
     run = simulate_driven(parameters, heater, states=states, period=period, disturbances=room[:, None])

@@ -127,27 +127,27 @@ def test_a_restart_forgets_what_ran_before(adopted, tmp_path: Path, monkeypatch:
 def test_what_is_discrete_is_refused_and_what_is_not_a_real_scalar_is_listed(
     exchange_fmu: Path, third_fmu: Path, tmp_path: Path, adopted, capsys
 ) -> None:
-    own = (
+    declarations = (
         '<ScalarVariable name="off" valueReference="50" causality="local"><Boolean/></ScalarVariable>'
         '<ScalarVariable name="stages" valueReference="51" causality="parameter" variability="fixed">'
         '<Integer start="3"/></ScalarVariable>'
         '<ScalarVariable name="maker" valueReference="52" causality="output"><String/></ScalarVariable>'
     )
-    fmu = _described(exchange_fmu, tmp_path, ("</ModelVariables>", f"{own}</ModelVariables>"))
+    fmu = _described(exchange_fmu, tmp_path, ("</ModelVariables>", f"{declarations}</ModelVariables>"))
     with pytest.raises(FmuError, match=r"its discrete variables \(off\) may remember earlier events"):
         adopted(fmu)
     assert main(["fmu", str(fmu)]) == 0
-    told = capsys.readouterr().out.replace("# ", "")
-    assert "not real and scalar, so not for a map:\n  off: Boolean, local, discrete\n" in told
-    assert "  stages: Integer, parameter, fixed\n" in told
-    assert "  maker: String, output, discrete\n" in told
-    assert "It cannot be used: its discrete variables (off) " in told
-    own = (
+    printed = capsys.readouterr().out.replace("# ", "")
+    assert "not real and scalar, so not for a map:\n  off: Boolean, local, discrete\n" in printed
+    assert "  stages: Integer, parameter, fixed\n" in printed
+    assert "  maker: String, output, discrete\n" in printed
+    assert "It cannot be used: its discrete variables (off) " in printed
+    declarations = (
         '<Float64 name="profile" valueReference="50" causality="parameter" variability="fixed" start="1 2 3">'
         '<Dimension start="3"/></Float64>'
     )
     (tmp_path / "third").mkdir()
-    fmu = _described(third_fmu, tmp_path / "third", ("</ModelVariables>", f"{own}</ModelVariables>"))
+    fmu = _described(third_fmu, tmp_path / "third", ("</ModelVariables>", f"{declarations}</ModelVariables>"))
     assert main(["fmu", str(fmu)]) == 0
     assert "  profile: Float64[3], parameter, fixed\n" in capsys.readouterr().out
 

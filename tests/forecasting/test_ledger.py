@@ -58,8 +58,8 @@ def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
 def test_who_forecasts_better_saves_more_and_persistence_saves_nothing() -> None:
     poor = drawn(4.0, 200, 1)
     ledger = entered({PERSISTENCE: poor, "a": drawn(0.5, 200, 2), "b": drawn(0.6, 200, 3), "same": poor})
-    a, b, same = ledger.gains(["a", "b", "same"])[:, 0]
-    assert a > b > same
+    a, b, as_persistence = ledger.gains(["a", "b", "same"])[:, 0]
+    assert a > b > as_persistence
     only = entered({PERSISTENCE: poor, "same": poor}).gains(["same"])
     assert only[0, 0] == pytest.approx(0.0, abs=1e-12)
 
@@ -78,9 +78,9 @@ def test_a_boast_does_not_pay() -> None:
 def test_units_do_not_matter(unit: float) -> None:
     errors = {PERSISTENCE: drawn(3.0, 20, 1), "a": drawn(1.0, 20, 2)}
     scaled = {name: unit * e for name, e in errors.items()}
-    one = entered(errors)
-    other = entered(scaled, noise=unit * NOISE)
-    assert other.gains(["a"])[0, 0] == pytest.approx(one.gains(["a"])[0, 0], abs=1e-9)
+    ledger = entered(errors)
+    scaled_ledger = entered(scaled, noise=unit * NOISE)
+    assert scaled_ledger.gains(["a"])[0, 0] == pytest.approx(ledger.gains(["a"])[0, 0], abs=1e-9)
 
 
 def test_the_past_is_forgotten() -> None:
@@ -119,8 +119,14 @@ def test_nothing_is_said_before_a_forecast_has_come_true() -> None:
 def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
     """Of two signals the geometric mean counts; the prior, three forecasts off by the noise, fades."""
     n = 2000
-    off = np.array([[1.0], [1.0]]) * NOISE[:, None] * np.ones(n)
-    ledger = entered({PERSISTENCE: 4.0 * off, ARX: [[0.5], [0.25]] * off, "a": [[2.0], [0.5]] * off})
+    noise_sized = np.array([[1.0], [1.0]]) * NOISE[:, None] * np.ones(n)
+    ledger = entered(
+        {
+            PERSISTENCE: 4.0 * noise_sized,
+            ARX: [[0.5], [0.25]] * noise_sized,
+            "a": [[2.0], [0.5]] * noise_sized,
+        }
+    )
     by_persistence, by_arx = ledger.skills("a")[0][:, 0]
     assert by_persistence == pytest.approx(1 - 1 / 4, abs=3 * 4 / n)
     assert by_arx == pytest.approx(1 - np.sqrt(4 * 2), abs=0.02)
@@ -139,8 +145,8 @@ def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
 def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
     """Errors of forecasts of which each covers most of what the one before did; of unit size."""
     steps = rng.normal(0.0, 1.0, (2, samples + overlap - 1))
-    found = np.apply_along_axis(np.convolve, 1, steps, np.full(overlap, overlap**-0.5), "valid")
-    return np.asarray(10.0 * NOISE[:, None] * found)
+    errors = np.apply_along_axis(np.convolve, 1, steps, np.full(overlap, overlap**-0.5), "valid")
+    return np.asarray(10.0 * NOISE[:, None] * errors)
 
 
 @pytest.mark.parametrize("overlap", [1, 10])
@@ -148,19 +154,19 @@ def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int)
     """The promise is one in twenty. The one with twice the error is found out."""
     rng = np.random.default_rng(7)
     alarms = 0
-    found = 0
+    worse_found = 0
     runs = 400
     for _ in range(runs):
-        shared, *own = (moving(rng, 150, overlap) for _ in range(4))
-        one, other, baseline = (shared + 0.5 * each for each in own)
+        shared, *own_parts = (moving(rng, 150, overlap) for _ in range(4))
+        candidate, rival, baseline = (shared + 0.5 * part for part in own_parts)
         ledger = Ledger(np.array([1.0 / overlap]), NOISE, 0.98)
         for k in range(150):
-            errors = np.array([one, 2.0 * other])[..., k : k + 1]
+            errors = np.array([candidate, 2.0 * rival])[..., k : k + 1]
             ledger.add(["equal", "worse"], errors, np.array([baseline] * 2)[..., k : k + 1], 0)
         alarms += ledger.skills("equal")[1][0, 0] < 0.0
-        found += ledger.skills("worse")[1][0, 0] < 0.0
+        worse_found += ledger.skills("worse")[1][0, 0] < 0.0
     assert alarms <= 0.06 * runs
-    assert found > 0.9 * runs
+    assert worse_found > 0.9 * runs
 
 
 # How wide a band has to be to hold what it promises.
@@ -328,12 +334,12 @@ def future(
     samples: list[Sample], at: int, gains: PidGains | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Condition, disturbances and measured signals after the sample `at`."""
-    rest = samples[at + 1 :]
-    given = np.array([s.reference if gains else s.input for s in rest])
+    later = samples[at + 1 :]
+    condition = np.array([s.reference if gains else s.input for s in later])
     return (
-        given,
+        condition,
         np.array([s.disturbances for s in samples[at:]]),
-        np.array([[s.output, s.input] for s in rest]).T,
+        np.array([[s.output, s.input] for s in later]).T,
     )
 
 
@@ -341,8 +347,8 @@ def future(
 def test_a_plant_of_its_form_is_forecast_exactly(gains: PidGains | None) -> None:
     samples, states = record(300, gains)
     given_ahead, rows, came = future(samples, 199, gains)
-    found = fed(samples[:200], gains).departure(states[199]).forecast(given_ahead, rows)
-    np.testing.assert_allclose(found, came, atol=1e-6)
+    forecast = fed(samples[:200], gains).departure(states[199]).forecast(given_ahead, rows)
+    np.testing.assert_allclose(forecast, came, atol=1e-6)
 
 
 def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
@@ -357,8 +363,8 @@ def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
         y[k + 1] = 0.9 * y[k] + rate
     rows = zip(y.tolist(), u.tolist(), room.tolist(), strict=True)
     samples = [Sample(k, 0, (0.0,) * 3, tuple(y), tuple(u), (d,)) for k, (y, u, d) in enumerate(rows)]
-    found = fed(samples[:200], None).departure(np.zeros(0)).forecast(u[200:], room[199:, None])
-    np.testing.assert_allclose(found, np.hstack([y[200:], u[200:]]).T, atol=1e-9)
+    forecast = fed(samples[:200], None).departure(np.zeros(0)).forecast(u[200:], room[199:, None])
+    np.testing.assert_allclose(forecast, np.hstack([y[200:], u[200:]]).T, atol=1e-9)
 
 
 @given(st.sets(st.integers(0, 119)), st.booleans())
@@ -373,24 +379,26 @@ def test_who_asks_in_between_changes_no_bit(asked: set[int], gap: bool) -> None:
         curious.push(sample)
         if sample.index in asked:
             curious.departure(np.zeros(2))
-    for one, other in zip(quiet.departure(np.zeros(2)), curious.departure(np.zeros(2)), strict=True):
-        if isinstance(one, np.ndarray):
-            np.testing.assert_array_equal(one, other)
+    for quiet_part, curious_part in zip(
+        quiet.departure(np.zeros(2)), curious.departure(np.zeros(2)), strict=True
+    ):
+        if isinstance(quiet_part, np.ndarray):
+            np.testing.assert_array_equal(quiet_part, curious_part)
 
 
 def test_until_there_are_enough_samples_nothing_changes() -> None:
     samples, states = record(12, GAINS)
-    found = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
-    np.testing.assert_array_equal(found, np.repeat([[samples[-1].output], [samples[-1].input]], 4, axis=1))
+    forecast = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
+    np.testing.assert_array_equal(forecast, np.repeat([[samples[-1].output], [samples[-1].input]], 4, axis=1))
 
 
 def test_it_does_not_leave_what_was_visited_by_more_than_its_width() -> None:
     """A plant that runs away while it is watched."""
     samples = [Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)]
-    found = fed(samples, None).departure(np.zeros(0)).forecast(np.zeros(400), None)
+    forecast = fed(samples, None).departure(np.zeros(0)).forecast(np.zeros(400), None)
     low = samples[0].output
     high = samples[-1].output
-    assert found[0, -1] == pytest.approx(2.0 * high - low)
+    assert forecast[0, -1] == pytest.approx(2.0 * high - low)
 
 
 @settings(max_examples=20)
@@ -405,8 +413,8 @@ def test_lost_samples_and_gaps_teach_nothing_wrong(lost: set[int], seed: int) ->
     ]
     given_ahead, rows, came = future(samples, 249, GAINS)
     arx = fed(with_gap, GAINS)
-    found = arx.departure(states[249]).forecast(given_ahead, rows)
-    np.testing.assert_allclose(found, came, atol=1e-4)
+    forecast = arx.departure(states[249]).forecast(given_ahead, rows)
+    np.testing.assert_allclose(forecast, came, atol=1e-4)
 
 
 def test_older_samples_weigh_less() -> None:
@@ -422,7 +430,9 @@ def test_older_samples_weigh_less() -> None:
             y,
             s.input,
         )
-    slopes = [fed(doubled, None, kept).departure(np.zeros(0)).coefficients[0, 2] for kept in (1.0, 0.97)]
+    slopes = [
+        fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)
+    ]
     assert slopes[1] == pytest.approx(0.4, abs=0.01)
     assert slopes[0] < 0.38
 

@@ -44,17 +44,17 @@ SECONDS = 300
 
 def run(reference: FloatArray) -> Window:
     """The plant without noise."""
-    made = simulate_closed_loop(RIG, reference, states=begin(RIG, 22.85))
-    return Window(reference, made.output, made.input)
+    simulated = simulate_closed_loop(RIG, reference, states=begin(RIG, 22.85))
+    return Window(reference, simulated.output, simulated.input)
 
 
 def forecaster() -> Forecaster:
     """One candidate, the plant itself, after `PAST`."""
-    made = Forecaster(law_of(Peltier, 1.0))
-    made.enter([Candidate("rig", 50.0, RIG, None)])
+    taught = Forecaster(law_of(Peltier, 1.0))
+    taught.enter([Candidate("rig", 50.0, RIG, None)])
     for sample in samples_of(run(PAST)):
-        made.push(sample)
-    return made
+        taught.push(sample)
+    return taught
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +74,8 @@ def test_the_answer_is_what_the_plant_then_does(outlook: Outlook) -> None:
     # The observer has come within a hundredth of a degree of the states; the loop forgets the rest.
     np.testing.assert_allclose(answer.forecast.output.mean, came.output, atol=0.02)
     np.testing.assert_allclose(answer.forecast.input.mean, came.input, atol=1.0)
-    there = ahead[np.abs(came.output - 62.0) <= 0.5]
-    assert answer.reached.expected == pytest.approx(there[0], abs=1.0)
+    arrivals = ahead[np.abs(came.output - 62.0) <= 0.5]
+    assert answer.reached.expected == pytest.approx(arrivals[0], abs=1.0)
     assert answer.settled == Moment(None, None, None)
     assert answer.largest.expected == pytest.approx(np.abs(came.input).max(), abs=1.0)
 
@@ -139,19 +139,19 @@ def test_questions_without_an_answer(outlook: Outlook, question: dict[str, Any],
 
 
 def test_a_snapshot_does_not_change_when_the_forecaster_continues() -> None:
-    made = forecaster()
-    snapshot = made.snapshot()
+    running = forecaster()
+    snapshot = running.snapshot()
     before = what_if(snapshot.outlook(), Question((0.0,), (70.0,))).forecast
     for sample in samples_of(run(np.concatenate([PAST, np.repeat(80.0, 400)])))[PAST.size :]:
-        made.push(sample)
-    made.enter([Candidate("other", 50.0, Peltier.model().parameters(), None)])
+        running.push(sample)
+    running.enter([Candidate("other", 50.0, Peltier.model().parameters(), None)])
     after = what_if(snapshot.outlook("rig"), Question((0.0,), (70.0,))).forecast
     for band in ("output", "input"):
         for edge in ("mean", "low", "high"):
             np.testing.assert_array_equal(
                 getattr(getattr(after, band), edge), getattr(getattr(before, band), edge)
             )
-    assert made.snapshot().leader == "other"
+    assert running.snapshot().leader == "other"
 
 
 def test_who_is_not_there_cannot_be_asked() -> None:
@@ -182,28 +182,28 @@ def forecast(output: FloatArray, input: FloatArray, width: float = 0.0, period: 
 def test_a_lag_reaches_its_level_when_its_solution_does() -> None:
     """y = 40 + 20·(1 − e^(−t/10)); the band is 2 wide to both sides, the tolerance 0.5."""
     time = 0.1 * np.arange(1, 1201)
-    said = forecast(40 + 20 * (1 - np.exp(-time / 10)), np.zeros(time.size), 2.0, 0.1)
+    lag_forecast = forecast(40 + 20 * (1 - np.exp(-time / 10)), np.zeros(time.size), 2.0, 0.1)
 
     def when(left: float) -> float:
         return 10 * math.log(20 / left)
 
-    found = time_to_reach(said, 55.0, 0.5)
-    assert found.expected == pytest.approx(when(5.5), abs=0.11)
-    assert found.earliest == pytest.approx(when(7.5), abs=0.11)
-    assert found.latest == pytest.approx(when(3.5), abs=0.11)
-    settled = settling_time(said, 60.0, 1.0)
+    reached = time_to_reach(lag_forecast, 55.0, 0.5)
+    assert reached.expected == pytest.approx(when(5.5), abs=0.11)
+    assert reached.earliest == pytest.approx(when(7.5), abs=0.11)
+    assert reached.latest == pytest.approx(when(3.5), abs=0.11)
+    settled = settling_time(lag_forecast, 60.0, 1.0)
     assert settled.expected == pytest.approx(when(1.0), abs=0.11)
     assert settled.earliest == pytest.approx(when(3.0), abs=0.11)
     assert settled.latest is None  # a band of ±2 never fits into ±1
-    assert time_to_reach(said, 65.0, 0.5) == Moment(None, None, None)
-    assert time_to_reach(said, 61.5, 0.5).earliest is not None
+    assert time_to_reach(lag_forecast, 65.0, 0.5) == Moment(None, None, None)
+    assert time_to_reach(lag_forecast, 61.5, 0.5).earliest is not None
 
 
 def test_a_level_that_is_passed_between_two_samples_is_reached() -> None:
-    said = forecast(np.array([60.0, 55.0, 45.0, 30.0, 45.0]), np.zeros(5))
-    assert time_to_reach(said, 50.0, 0.1).expected == 3.0
-    assert settling_time(said, 50.0, 0.1).expected is None
-    assert time_to_reach(said, 60.0, 0.1) == Moment(1.0, 1.0, 1.0)
+    falling = forecast(np.array([60.0, 55.0, 45.0, 30.0, 45.0]), np.zeros(5))
+    assert time_to_reach(falling, 50.0, 0.1).expected == 3.0
+    assert settling_time(falling, 50.0, 0.1).expected is None
+    assert time_to_reach(falling, 60.0, 0.1) == Moment(1.0, 1.0, 1.0)
 
 
 def test_an_overshoot_holds_only_behind_it() -> None:
@@ -211,9 +211,9 @@ def test_an_overshoot_holds_only_behind_it() -> None:
     rig = Peltier.model().parameters()
     law = dataclasses.replace(law_of(Peltier, 1.0), integral=15.0)
     run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), law=law)
-    said = forecast(run.output, run.input)
-    reached = time_to_reach(said, 60.0, 0.2).expected
-    settled = settling_time(said, 60.0, 0.2).expected
+    overshooting = forecast(run.output, run.input)
+    reached = time_to_reach(overshooting, 60.0, 0.2).expected
+    settled = settling_time(overshooting, 60.0, 0.2).expected
     assert reached is not None
     assert settled is not None
     within = np.abs(run.output - 60.0) <= 0.2
@@ -222,7 +222,7 @@ def test_an_overshoot_holds_only_behind_it() -> None:
     assert run.output[: int(reached) - 1].max() < 59.8
     assert run.output.max() > 60.2
     assert settled > reached
-    peak = largest_input(said)
+    peak = largest_input(overshooting)
     assert peak.expected == np.abs(run.input).max() == peak.least == peak.most
     assert abs(run.input[int(peak.time) - 1]) == peak.expected
 
@@ -245,29 +245,29 @@ def test_every_run_inside_the_band_keeps_what_is_said(
     """A run drawn inside the band reaches and holds between earliest and latest."""
     rng = np.random.default_rng(seed)
     mean = np.cumsum(rng.standard_normal(60)) * 0.5
-    said = forecast(mean, mean, width)
+    band_forecast = forecast(mean, mean, width)
     inside = mean + width * rng.uniform(-1.0, 1.0, 60)
     inside[0] = mean[0]  # on the same side of the level
     for ask in (time_to_reach, settling_time):
-        told = ask(said, level, tolerance)
-        own = ask(forecast(inside, inside), level, tolerance).expected
-        for one, other in ((told.earliest, told.expected), (told.expected, told.latest)):
-            assert (one or math.inf) <= (other or math.inf)
-        assert (told.earliest or math.inf) <= (own or math.inf)
+        moment = ask(band_forecast, level, tolerance)
+        own_time = ask(forecast(inside, inside), level, tolerance).expected
+        for sooner, later in ((moment.earliest, moment.expected), (moment.expected, moment.latest)):
+            assert (sooner or math.inf) <= (later or math.inf)
+        assert (moment.earliest or math.inf) <= (own_time or math.inf)
         if ask is settling_time or abs(mean[0] - level) > tolerance:
-            assert (own or math.inf) <= (told.latest or math.inf)
-    peak = largest_input(said)
+            assert (own_time or math.inf) <= (moment.latest or math.inf)
+    peak = largest_input(band_forecast)
     assert peak.least <= peak.expected <= peak.most
     assert peak.least <= np.abs(inside).max() <= peak.most
 
 
 def test_a_question_without_meaning_is_refused() -> None:
-    said = forecast(np.zeros(3), np.zeros(3))
+    flat = forecast(np.zeros(3), np.zeros(3))
     with pytest.raises(ForecastError, match="forecast of twin_1: the level is nan; give a finite one"):
-        time_to_reach(said, math.nan, 0.1)
+        time_to_reach(flat, math.nan, 0.1)
     for ask in (time_to_reach, settling_time):
         with pytest.raises(ForecastError, match="the tolerance is 0; give a positive one"):
-            ask(said, 1.0, 0.0)
+            ask(flat, 1.0, 0.0)
 
 
 # The set-points a forecast is made for.
@@ -348,8 +348,8 @@ def test_an_unusual_set_point_is_noted() -> None:
 @given(reference=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40), period=st.floats(0.01, 100.0))
 def test_recorded_set_points_come_back(reference: list[float], period: float) -> None:
     """Also those that no plan could hold: what was recorded was."""
-    found = SetPoints.recorded(reference, period).ahead(period, len(reference) - 1)
-    np.testing.assert_array_equal(found, reference[1:])
+    levels = SetPoints.recorded(reference, period).ahead(period, len(reference) - 1)
+    np.testing.assert_array_equal(levels, reference[1:])
 
 
 @given(
@@ -362,10 +362,10 @@ def test_it_stays_between_its_set_points_and_ends_at_the_last(
 ) -> None:
     rows = sorted(rows)
     plan = SetPoints.planned(rows, before, ramps=ramps, signal=PLATE)
-    found = plan.ahead(0.5, 120)
+    planned_levels = plan.ahead(0.5, 120)
     named = [before, *(level for _, level in rows)]
-    assert min(named) - 1e-9 <= found.min()
-    assert found.max() <= max(named) + 1e-9
-    np.testing.assert_array_equal(found[100:], rows[-1][1])
+    assert min(named) - 1e-9 <= planned_levels.min()
+    assert planned_levels.max() <= max(named) + 1e-9
+    np.testing.assert_array_equal(planned_levels[100:], rows[-1][1])
     if not ramps:
-        assert set(found.tolist()) <= set(named)
+        assert set(planned_levels.tolist()) <= set(named)

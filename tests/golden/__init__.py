@@ -88,20 +88,22 @@ def digest(documents: dict[str, Any]) -> Entry:
 
 def compare(name: str, found: Entry) -> tuple[list[str], str]:
     """What differs from the file, and what was compared, in words."""
-    kept: Entry = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    stored: Entry = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     figures = [
-        f"{key} is {found['figures'].get(key)!r} and was {kept['figures'].get(key)!r}"
-        for key in kept["figures"] | found["figures"]
-        if not _alike(kept["figures"].get(key), found["figures"].get(key))
+        f"{key} is {found['figures'].get(key)!r} and was {stored['figures'].get(key)!r}"
+        for key in stored["figures"] | found["figures"]
+        if not _alike(stored["figures"].get(key), found["figures"].get(key))
     ]
-    other = [key for key, value in kept["fingerprint"].items() if found["fingerprint"].get(key) != value]
-    if other:
+    differing = [
+        key for key, value in stored["fingerprint"].items() if found["fingerprint"].get(key) != value
+    ]
+    if differing:
         figures = [line for line in figures if not line.startswith(UNSTEADY)]
-        return figures, f"figures only, as {', '.join(other)} differ"
-    if kept["bits"] == found["bits"]:
+        return figures, f"figures only, as {', '.join(differing)} differ"
+    if stored["bits"] == found["bits"]:
         return [], "every bit"
-    groups = kept["parts"] | found["parts"]
-    moved = [group for group in groups if kept["parts"].get(group) != found["parts"].get(group)]
+    groups = stored["parts"] | found["parts"]
+    moved = [group for group in groups if stored["parts"].get(group) != found["parts"].get(group)]
     return [f"bits differ in {', '.join(moved)}", *figures], "every bit"
 
 
@@ -128,9 +130,9 @@ def fingerprint() -> dict[str, str]:
     """What the last bits may depend on besides the code."""
     libraries = ("numpy", "scipy", "numba", "llvmlite", "statsmodels")
     blas = sorted(
-        f"{held['internal_api']} {held['version']} {held.get('architecture')}"
-        for held in threadpool_info()
-        if held["user_api"] == "blas"
+        f"{pool['internal_api']} {pool['version']} {pool.get('architecture')}"
+        for pool in threadpool_info()
+        if pool["user_api"] == "blas"
     )
     return {
         "processor": f"{_processor()} ({get_host_cpu_name()})",
@@ -145,8 +147,8 @@ def fingerprint() -> dict[str, str]:
 def _processor() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     text = cpuinfo.read_text(encoding="utf-8") if cpuinfo.exists() else ""
-    found = re.search(r"^model name\s*:\s*(.*)$", text, re.MULTILINE)
-    return found.group(1) if found else platform.processor()
+    model_name = re.search(r"^model name\s*:\s*(.*)$", text, re.MULTILINE)
+    return model_name.group(1) if model_name else platform.processor()
 
 
 def _version(library: str) -> str:
@@ -157,10 +159,10 @@ def _version(library: str) -> str:
 
 def _gcc() -> str:
     asked = ["gcc", "-dumpfullversion"]
-    there = shutil.which("gcc") is not None
+    has_gcc = shutil.which("gcc") is not None
     return (
         subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
-        if there
+        if has_gcc
         else "absent"
     )
 
@@ -230,8 +232,11 @@ def _report_figures(document: dict[str, Any]) -> dict[str, Any]:
 
 def _forecast_figures(document: list[dict[str, Any]]) -> dict[str, Any]:
     return {
-        f"at {one['sample']}": [one["candidate"], *(one["y"][edge][-1] for edge in ("low", "mean", "high"))]
-        for one in document
+        f"at {forecast['sample']}": [
+            forecast["candidate"],
+            *(forecast["y"][edge][-1] for edge in ("low", "mean", "high")),
+        ]
+        for forecast in document
     }
 
 

@@ -31,10 +31,10 @@ def main() -> int:
     failed: list[str] = []
     with ProcessPoolExecutor(min(WORKERS, len(names)), mp_context=context) as pool:
         futures = {pool.submit(work, name, making=options.make): name for name in names}
-        for done, future in enumerate(as_completed(futures), 1):
-            right, said = future.result()
+        for count, future in enumerate(as_completed(futures), 1):
+            right, sentence = future.result()
             failed += [] if right else [futures[future]]
-            print(f"[{done}/{len(names)}] {futures[future]}: {said}", flush=True)
+            print(f"[{count}/{len(names)}] {futures[future]}: {sentence}", flush=True)
     print(f"{len(names)} sources in {time.monotonic() - begun:.0f} s", end="")
     print(f"; DIFFERENT: {', '.join(failed)}" if failed else "; nothing differs" if not options.make else "")
     return 1 if failed else 0

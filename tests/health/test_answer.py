@@ -59,9 +59,9 @@ def test_a_lost_heater_is_reported_in_half_a_minute_and_named_a_minute_later(see
 @pytest.mark.parametrize(("lost", "losses"), [(1000, 2.5), (1000, 4.0), (1500, 2.5), (2100, 2.5)])
 def test_a_draught_is_not_called_a_lost_heater(lost: int, losses: float) -> None:
     """The first alarm names both; once the heater has shown that it works, the losses may be named."""
-    told = alarms(lost + 300, Broken(draught=lost, losses=losses), 1)
-    assert told[0].fault is Fault.DRIFT
-    assert {a.fault for a in told} <= {Fault.DRIFT, Fault.LOSSES_CHANGED}
+    kit_alarms = alarms(lost + 300, Broken(draught=lost, losses=losses), 1)
+    assert kit_alarms[0].fault is Fault.DRIFT
+    assert {a.fault for a in kit_alarms} <= {Fault.DRIFT, Fault.LOSSES_CHANGED}
 
 
 @pytest.mark.parametrize(
@@ -120,10 +120,10 @@ def test_a_kit_under_another_law_is_left_alone(name: str) -> None:
 
 def test_it_stays_lost_until_it_is_back() -> None:
     """For six minutes the kit cools down to the room; then the wire is repaired, and the drive proves it."""
-    told = alarms(1560, Broken(lost=1000, back=1360))
-    assert [alarm.fault for alarm in told] == [Fault.DRIFT, Fault.DRIVE_LOST]
-    assert told[1].last is not None
-    assert 1360 <= told[1].last <= 1500
+    kit_alarms = alarms(1560, Broken(lost=1000, back=1360))
+    assert [alarm.fault for alarm in kit_alarms] == [Fault.DRIFT, Fault.DRIVE_LOST]
+    assert kit_alarms[1].last is not None
+    assert 1360 <= kit_alarms[1].last <= 1500
 
 
 def test_a_frozen_sensor_is_reported_once_the_plant_should_have_moved() -> None:

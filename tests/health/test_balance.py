@@ -115,11 +115,11 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
             y = 700.0 if broken == "off" else read(truth, states) + random.normal(0.0, 0.2)
         u = pid.step(float(reference), y)[0]
         load = 0.02 * np.sin(k / 200)
-        known = truth if k >= matched else None
+        nominal = truth if k >= matched else None
         sample = Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,))
-        if known is not None:
-            refusals.know(known)
-        monitor.push(refusals.settle(sample), known)
+        if nominal is not None:
+            refusals.know(nominal)
+        monitor.push(refusals.settle(sample), nominal)
         driven = 0.0 if broken == "lost" else u
         states = advance(truth, states, driven, PERIOD_OTHER_PLANT, np.array([load]))
     return monitor.alarms

@@ -32,27 +32,27 @@ from twinmatch.signals import Sample
 )
 def test_a_change_is_named_and_hardly_ever_called_another(kind: str, least: int) -> None:
     """Six rigs of the thirty of docs/health.md."""
-    told = Counter(name for name, _ in (rig.names_told(kind, seed) for seed in range(6)))
+    counts = Counter(name for name, _ in (rig.names_told(kind, seed) for seed in range(6)))
     right = {"fan": "losses-changed", "roo": "room-changed", "sup": "drive-weak", "rea": "sensor-drift"}[
         kind[:3]
     ]
-    assert told[right] >= least
-    assert sum(told[name.value] for name in Fault if name.value not in {right, "drift"}) == 0
-    assert told["early"] == 0
+    assert counts[right] >= least
+    assert sum(counts[name.value] for name in Fault if name.value not in {right, "drift"}) == 0
+    assert counts["early"] == 0
 
 
 def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() -> None:
-    told: Counter[Fault] = Counter()
+    counts: Counter[Fault] = Counter()
     for seed in range(4):
         still = np.full(800, rig.profile(seed + 1000, 600)[400])
         reference = np.concatenate([rig.profile(seed + 1000, 400), still])
         for heat in ("heat+4", "heat-4"):
             samples, _ = rig.run(reference, rig.Break(heat, 620, 20), rig=rig.some_rig(seed), seed=seed)
             alarms = rig.watch(samples)[0].alarms
-            told.update(alarm.fault for alarm in alarms)
+            counts.update(alarm.fault for alarm in alarms)
             assert all(alarm.last is not None and 540 <= alarm.first <= 640 for alarm in alarms)
-    assert set(told) == {Fault.DISTURBANCE}
-    assert told[Fault.DISTURBANCE] >= 7  # of eight
+    assert set(counts) == {Fault.DISTURBANCE}
+    assert counts[Fault.DISTURBANCE] >= 7  # of eight
 
 
 def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> None:
@@ -124,8 +124,8 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     random = np.random.default_rng(1)
     rough = ChangeDetector(HealthSettings().followed, 1.0)
     wander = np.cumsum(random.normal(0.0, 0.15, len(samples)))
-    for sample, off in zip(samples, wander, strict=True):
-        rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(off), sample.input))
+    for sample, wandered in zip(samples, wander, strict=True):
+        rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(wandered), sample.input))
     assert rough.level > exact.level
 
 
@@ -152,14 +152,14 @@ def motors(*kinds: str) -> list[Monitor]:
             k += 1
         return k, states, pid, random, monitor
 
-    k, states, *rest = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
-    return [run(500.0, (k, states, *(deepcopy(rest[:2])), copied(rest[2])), kind)[-1] for kind in kinds]
+    k, states, pid, random, monitor = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
+    return [run(500.0, (k, states, *deepcopy((pid, random)), copied(monitor)), kind)[-1] for kind in kinds]
 
 
 def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Motor, "typical", {"k": 0.05})
-    same, weak, loaded = motors("", "weak", "load")
-    assert same.alarms == ()
+    unchanged, weak, loaded = motors("", "weak", "load")
+    assert unchanged.alarms == ()
     assert Fault.DRIVE_WEAK in {a.fault for a in weak.alarms}
     # No parameter has a role, so a load that nobody measures has no name, and gets none.
     assert {a.fault for a in loaded.alarms} <= {Fault.DRIFT}

@@ -60,9 +60,9 @@ def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more
     """The sample with another output or input of one channel."""
     values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
     values[signal][channel] = factor * values[signal][channel] + more
-    given = tuple(values["inputs"])
+    commands = tuple(values["inputs"])
     read = tuple(values["outputs"])
-    return Sample(sample.index, sample.stamp, sample.references, read, given)
+    return Sample(sample.index, sample.stamp, sample.references, read, commands)
 
 
 def test_a_sensor_that_is_off_is_named_with_its_channel() -> None:
@@ -87,26 +87,26 @@ def test_a_lost_heater_is_named_with_its_channel() -> None:
 
 def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> None:
     samples = recorded("tclab_2x2", "prbs_open_loop")
-    at = 2500
-    monitor = watched(samples, at)
+    onset = 2500
+    monitor = watched(samples, onset)
     assert monitor.alarms == ()
     for sample in islice(samples, 6):
         monitor.push(changed(sample, "outputs", 1, more=-5.0))
     (alarm,) = monitor.alarms
     assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
-    assert at <= alarm.flagged <= at + 5
+    assert onset <= alarm.flagged <= onset + 5
     assert abs(alarm.size + 5.0) < 0.5
     through = monitor.competition.through
-    off = []
+    errors = []
     inside = []
     assert list(through) == [1]
     for sample in islice(samples, 900):
         monitor.push(changed(sample, "outputs", 1, more=-5.0))
-        off.append(through[1].estimate.value - sample.outputs[1])
-        inside.append(abs(off[-1]) <= through[1].estimate.band)
+        errors.append(through[1].estimate.value - sample.outputs[1])
+        inside.append(abs(errors[-1]) <= through[1].estimate.band)
     assert monitor.alarms == (alarm,)
     # A twin that was fitted to all of this recording leaves 0.5 °C; nine of ten readings are promised.
-    assert np.sqrt(np.mean(np.square(off))) < 0.7
+    assert np.sqrt(np.mean(np.square(errors))) < 0.7
     assert np.mean(inside) >= 0.85
     assert through[1].lasts(0.5, 3600) < through[1].lasts(5.0, 3600)
     for sample in islice(samples, 30):  # it is right again
@@ -118,14 +118,14 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
 def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:
     """From then on the table has twice the power that reached the heater of a real closed loop."""
     samples = recorded("tclab_2x2", "closed_loop_lqg")
-    at = 2500
-    monitor = watched(samples, at)
+    onset = 2500
+    monitor = watched(samples, onset)
     assert monitor.alarms == ()
     for sample in islice(samples, 90):
         monitor.push(changed(sample, "inputs", 1, factor=2.0))
     (alarm,) = monitor.alarms
     assert (alarm.fault, alarm.signal) == (Fault.DRIVE_WEAK, "second")
-    assert alarm.flagged <= at + 90
+    assert alarm.flagged <= onset + 90
     assert 0.3 < alarm.size < 0.7
 
 
@@ -150,7 +150,9 @@ def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
         best = -math.inf
         for sample in run(seed, "nothing", 250):
             competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
-            best = max([best, *(one.evidence for one in competition.found() if one.row.number)])
+            best = max(
+                [best, *(candidate.evidence for candidate in competition.found() if candidate.row.number)]
+            )
         highest.append(best)
     for nats in (3.0, 5.0):
         assert sum(best >= nats for best in highest) <= binom.ppf(0.9999, len(highest), math.exp(-nats))
@@ -169,15 +171,15 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
 
 def test_while_no_sensor_is_right_none_is_read_through() -> None:
     monitor, samples = kit_21()
-    told = []
+    read_through = []
     for sample in islice(samples, 60):
-        off = changed(sample, "outputs", 0, more=5.0)
+        wrong_sample = changed(sample, "outputs", 0, more=5.0)
         if sample.index >= BEGINS + 20:
-            off = changed(off, "outputs", 1, more=-5.0)
-        monitor.push(off)
-        told.append({each.signal for each in monitor.estimates})
-    assert told[19] == {"temperature"}
-    assert told[-1] == set()
+            wrong_sample = changed(wrong_sample, "outputs", 1, more=-5.0)
+        monitor.push(wrong_sample)
+        read_through.append({estimate.signal for estimate in monitor.estimates})
+    assert read_through[19] == {"temperature"}
+    assert read_through[-1] == set()
     assert [alarm.signal for alarm in monitor.alarms[-2:]] == ["temperature", "second_temperature"]
     assert monitor.alarms[-1].reason.endswith("; no sensor is right, so none can be read through")
 
@@ -188,7 +190,7 @@ def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
     for sample in islice(run(100, "T1 frozen"), BEGINS + 60):
         monitor.push(sample)
         through = bool(monitor.competition.through)
-        assert not (through and any(each.on for each in monitor.competition._rehearsals))
+        assert not (through and any(rehearsal.on for rehearsal in monitor.competition._rehearsals))
     assert (monitor.alarms[-1].fault, monitor.alarms[-1].signal) == (Fault.SENSOR_FROZEN, "temperature")
 
 
@@ -198,22 +200,24 @@ def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
     estimates = []
     for sample in islice(samples, 30):
         monitor.push(changed(sample, "outputs", 0, more=math.nan))
-        estimates += [(each, sample.outputs[0]) for each in monitor.estimates]
+        estimates += [(estimate, sample.outputs[0]) for estimate in monitor.estimates]
     first, _ = estimates[0]
     assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
-    assert max(abs(each.value - true) - each.band for each, true in estimates) < 0.3  # a step of the display
+    assert (
+        max(abs(estimate.value - true) - estimate.band for estimate, true in estimates) < 0.3
+    )  # a step of the display
 
 
 def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
     """Drive 2 and sensor 2 have one number; the drive works again, the sensor still lies."""
     monitor, samples = kit_21()
     for sample in islice(samples, 420):
-        off = changed(sample, "outputs", 1, more=5.0)
+        wrong_sample = changed(sample, "outputs", 1, more=5.0)
         if BEGINS + 60 <= sample.index < BEGINS + 180:
-            off = changed(off, "inputs", 1, factor=3.0)
-        monitor.push(off)
+            wrong_sample = changed(wrong_sample, "inputs", 1, factor=3.0)
+        monitor.push(wrong_sample)
         if sample.index >= BEGINS + 20:
-            assert [each.signal for each in monitor.estimates] == ["second_temperature"], sample.index
+            assert [estimate.signal for estimate in monitor.estimates] == ["second_temperature"], sample.index
 
 
 def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> None:

@@ -22,8 +22,8 @@ from twinmatch.signals import Sample, Window
 def samples_of(window: Window) -> list[Sample]:
     rows = zip(window.output, window.input, window.disturbances, strict=True)
     return [
-        Sample(k, k, float(y), float(y), float(u), tuple(given.tolist()))
-        for k, (y, u, given) in enumerate(rows)
+        Sample(k, k, float(y), float(y), float(u), tuple(disturbances.tolist()))
+        for k, (y, u, disturbances) in enumerate(rows)
     ]
 
 
@@ -59,15 +59,15 @@ def test_a_room_that_is_measured_is_not_a_hypothesis() -> None:
 
 def test_a_reading_whose_noise_is_lost_in_its_last_digit_may_stand_still() -> None:
     """At the top of every swing both sensors repeat themselves for half a minute."""
-    told = [a.fault for seed in (10, 18) for a in watch(run(some_incubator(seed), seed, 250))]
-    assert told == []
+    faults = [a.fault for seed in (10, 18) for a in watch(run(some_incubator(seed), seed, 250))]
+    assert faults == []
 
 
 def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_moved() -> None:
     monitor = Monitor(HealthSettings.of(Incubator, PERIOD))
-    held = run(some_incubator(1), 1, 500)
-    for k, sample in enumerate(held):
-        y = held[400].output if k >= 400 else sample.output
+    samples = run(some_incubator(1), 1, 500)
+    for k, sample in enumerate(samples):
+        y = samples[400].output if k >= 400 else sample.output
         health = monitor.push(Sample(k, k, y, y, sample.input, sample.disturbances))
     assert health.state is HealthState.FAULT
     assert health.fault is Fault.SENSOR_FROZEN
@@ -202,8 +202,8 @@ def test_a_lag_is_found(lag: int, seed: int) -> None:
     drive = np.convolve(random.normal(0.0, 2.0, 60), np.ones(4) / 2, "valid")
     trace = Lag(1.0)
     for k in range(lag, drive.size):
-        seen = drive[k - lag] + random.normal(0.0, 0.05)
-        trace.push(Movement(float(drive[k]), 0.0, float(seen - drive[k])))
+        response = drive[k - lag] + random.normal(0.0, 0.05)
+        trace.push(Movement(float(drive[k]), 0.0, float(response - drive[k])))
     assert trace.seconds(20) == lag
 
 

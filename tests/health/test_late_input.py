@@ -73,11 +73,11 @@ def test_nothing_is_known_before_the_input_has_moved_the_plant() -> None:
 def test_a_heater_that_is_lost_is_still_reported(delay: int) -> None:
     for seed in (1, 2, 3):
         samples = kit(delay, seed, size=400, lost=300)
-        found = alarms(samples)
-        assert {alarm.fault for alarm in found} <= {Fault.DRIFT, Fault.DRIVE_LOST}
-        assert 300 < found[0].flagged <= 300 + (12 + delay)
-        assert found[-1].fault is Fault.DRIVE_LOST
-        assert found[-1].flagged <= 300 + (14 + delay)
+        kit_alarms = alarms(samples)
+        assert {alarm.fault for alarm in kit_alarms} <= {Fault.DRIFT, Fault.DRIVE_LOST}
+        assert 300 < kit_alarms[0].flagged <= 300 + (12 + delay)
+        assert kit_alarms[-1].fault is Fault.DRIVE_LOST
+        assert kit_alarms[-1].flagged <= 300 + (14 + delay)
 
 
 @pytest.mark.parametrize("name", ["mpc_1", "mpc_44"])
@@ -100,10 +100,10 @@ def test_lost_samples_leave_the_delay_known() -> None:
 def test_later_inputs_are_delayed_or_lag_behind() -> None:
     """The lag of first order to a step has the closed form 1 - exp(-t / lag)."""
     step = np.repeat([0.0, 1.0], 30)
-    found = list(later_inputs(step, 40, 0.5))
-    onsets = [int(np.argmax(late)) for late in found if set(late.tolist()) == {0.0, 1.0}]
+    late_versions = list(later_inputs(step, 40, 0.5))
+    onsets = [int(np.argmax(late)) for late in late_versions if set(late.tolist()) == {0.0, 1.0}]
     assert onsets == [11, 12, 13, 14, 16]  # half a second to six seconds: rounded, and none twice
-    lags = [late for late in found if set(late.tolist()) != {0.0, 1.0}]
+    lags = [late for late in late_versions if set(late.tolist()) != {0.0, 1.0}]
     for lag, late in zip([0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.0], lags, strict=True):
         np.testing.assert_allclose(late[10:], 1.0 - np.exp(-np.arange(1.0, 31.0) / lag), atol=1e-12)
         assert not late[:10].any()

@@ -33,8 +33,8 @@ HEALTHY = (2, 5, 9, 14, 20)
 def holding(level: float, broken: Any, samples: int = 900) -> list[Sample]:
     """A hold at one level (°C), from a start at 40 °C, with something broken."""
     reference = np.concatenate([np.full(200, 40.0), np.full(samples - 200, level)])
-    found: list[Sample] = rig.run(reference, broken, seed=4)[0]
-    return found
+    held_samples: list[Sample] = rig.run(reference, broken, seed=4)[0]
+    return held_samples
 
 
 @pytest.mark.parametrize("number", HEALTHY)
@@ -53,8 +53,8 @@ def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[
     half = samples_of(recorded_hour(number))[: 300 * len(FOREIGN)]  # each twin is nominal once
     monitor = Monitor()
     for s in half:
-        given = None if s.index < 225 else FOREIGN[(s.index // 300 + number) % len(FOREIGN)]
-        monitor.push(s, given)
+        nominal = None if s.index < 225 else FOREIGN[(s.index // 300 + number) % len(FOREIGN)]
+        monitor.push(s, nominal)
     assert monitor.alarms == ()
 
 
@@ -127,8 +127,13 @@ def test_a_failure_is_reported_in_time_and_by_name(
     assert alarm.fault is fault
     assert broken[1] <= alarm.flagged <= broken[1] + within
     assert broken[1] - 60 <= alarm.first <= alarm.flagged
-    at = healths[alarm.flagged]
-    assert (at.state, at.fault, at.since, at.reason) == (HealthState.FAULT, fault, alarm.first, alarm.reason)
+    health = healths[alarm.flagged]
+    assert (health.state, health.fault, health.since, health.reason) == (
+        HealthState.FAULT,
+        fault,
+        alarm.first,
+        alarm.reason,
+    )
     assert "look at" in alarm.reason
 
 
@@ -209,18 +214,18 @@ def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
 def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(told: bool) -> None:
     """The output was zero because the guard put it there, and the controller's samples say so."""
     reference = np.repeat([40.0, 70.0, 45.0], 250)
-    held = range(260, 420)
+    held_range = range(260, 420)
     loop = Loop(Peltier)
     states = begin(RIG(), 25.0)
     samples = []
     noise = np.random.default_rng(3).normal(0.0, 0.1, reference.size)
     for k, level in enumerate(reference.tolist()):
-        loop.held = told and k in held
+        loop.held = told and k in held_range
         loop.measure(read(RIG(), states) + float(noise[k]), k * 10**9)
         sample = loop.tick(k * 10**9, lambda _, level=level: level)  # type: ignore[misc]
         assert sample is not None
         samples.append(sample)
-        states = advance(RIG(), states, 0.0 if k in held else sample.input, 1.0)
+        states = advance(RIG(), states, 0.0 if k in held_range else sample.input, 1.0)
     monitor, _ = rig.watch(samples)
     assert [alarm.fault for alarm in monitor.alarms] == ([] if told else [Fault.DRIVE_LOST])
 
@@ -247,14 +252,14 @@ def stamped(samples: list[Sample]) -> list[Sample]:
 def test_a_time_in_which_nobody_looked_is_not_evidence(counted: bool) -> None:
     """A process stood still for 30 s, the output off meanwhile; it may have counted on, or not."""
     whole = stamped(holding(70.0, rig.Break("drive-lost", 400, 30)))
-    seen = [s for s in whole if not 400 <= s.index < 430]
+    seen_samples = [s for s in whole if not 400 <= s.index < 430]
     if not counted:
-        seen = [dataclasses.replace(s, index=k) for k, s in enumerate(seen)]
-    monitor, healths = rig.watch(seen)
+        seen_samples = [dataclasses.replace(s, index=k) for k, s in enumerate(seen_samples)]
+    monitor, healths = rig.watch(seen_samples)
     assert monitor.alarms == ()
     assert healths[-1].state is HealthState.HEALTHY
     if not counted:  # as if no time had passed: then the plant did what no plant can
-        assert rig.watch(stamped(seen))[0].alarms != ()
+        assert rig.watch(stamped(seen_samples))[0].alarms != ()
 
 
 def test_late_ticks_are_not_a_gap() -> None:

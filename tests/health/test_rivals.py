@@ -31,11 +31,11 @@ def readings(cause: Cause, onset: int, size: float, given: FloatArray, seed: int
     after = np.arange(SIZE) >= onset
     acts = np.where(after & (cause is Cause.DRIVE), 0.0, given)
     acts = acts + np.where(after & (cause is Cause.PUSH), 30.0 * size, 0.0)
-    seen = simulate_driven(KIT, acts, states=START, disturbances=ROWS).output
-    seen = seen + np.random.default_rng(seed).normal(0.0, 0.1, SIZE)
+    output = simulate_driven(KIT, acts, states=START, disturbances=ROWS).output
+    output = output + np.random.default_rng(seed).normal(0.0, 0.1, SIZE)
     if cause is Cause.SHIFTED:
-        seen = seen + np.where(after, 4.0 * size, 0.0)
-    return np.where(after & (cause is Cause.FROZEN), seen[onset - 1], seen)
+        output = output + np.where(after, 4.0 * size, 0.0)
+    return np.where(after & (cause is Cause.FROZEN), output[onset - 1], output)
 
 
 @pytest.mark.parametrize("cause", Cause)
@@ -46,9 +46,9 @@ def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
         draw = np.random.default_rng(seed)
         onset = int(draw.integers(8, 30))
         size = float(draw.choice([-1.0, 1.0]))
-        given = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
-        came = readings(cause, onset, size, given, seed)
-        effects = effects_of_causes(KIT, START, given, came, rows=ROWS, period=1.0)
+        commands = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
+        came = readings(cause, onset, size, commands, seed)
+        effects = effects_of_causes(KIT, START, commands, came, rows=ROWS, period=1.0)
         costs = costs_of_causes(effects, slow_error=seed % 2 == 0)
         assert min(costs.values()) == 0.0
         if cause is Cause.DRIVE:
@@ -60,9 +60,9 @@ def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
 
 def test_a_slow_error_of_the_equations_hides_no_shift() -> None:
     """Readings shift by 4 °C on a plant that becomes 2 °C warmer than its equations expect."""
-    given = np.full(SIZE, 60.0)
-    came = readings(Cause.SHIFTED, 40, -1.0, given, 1) + 2.0 * np.arange(SIZE) / SIZE
-    effects = effects_of_causes(KIT, START, given, came, rows=ROWS, period=1.0)
+    commands = np.full(SIZE, 60.0)
+    came = readings(Cause.SHIFTED, 40, -1.0, commands, 1) + 2.0 * np.arange(SIZE) / SIZE
+    effects = effects_of_causes(KIT, START, commands, came, rows=ROWS, period=1.0)
     sure, unsure = (costs_of_causes(effects, slow_error=slow) for slow in (True, False))
     assert sure[Cause.SHIFTED] == unsure[Cause.SHIFTED] == 0.0
     assert sure[Cause.DRIVE] > 5.0 * unsure[Cause.DRIVE]
@@ -141,10 +141,10 @@ def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:
 def test_readings_that_creep_are_doubted_until_they_step_back(kind: str, named: bool) -> None:
     """6 °C within five minutes; on a kit a warmer room explains that as well, on this rig nothing does."""
     seed = 2 * named
-    of = KINDS[kind]
+    rig_kind = KINDS[kind]
     when = Order(kind, seed, 0.0, ("reading~6",), alone=True).onset("reading~6")
-    plant = AbroadPlant(of, seed, (), (150.0, 400.0), closed=True, mishap=when)
-    monitor = Monitor(HealthSettings.of(of.plant))
+    plant = AbroadPlant(rig_kind, seed, (), (150.0, 400.0), closed=True, mishap=when)
+    monitor = Monitor(HealthSettings.of(rig_kind.plant))
     doubts = []
     for sample in islice(plant.run(when.stop + 100), when.stop + 100):
         monitor.push(sample)

@@ -48,20 +48,20 @@ def late(samples: list[Sample], seconds: int) -> list[Sample]:
 
 def test_a_plant_that_its_equations_describe_is_predicted_as_expected() -> None:
     samples, _ = rig.run(rig.profile(3, 2400), rig=rig.some_rig(3), seed=3)
-    found = calibrated(samples)
-    assert found.earned
-    assert found.dispersion < 1.3  # 130 forecasts that overlap: some 30 independent ones
+    record = calibrated(samples)
+    assert record.earned
+    assert record.dispersion < 1.3  # 130 forecasts that overlap: some 30 independent ones
 
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_evidence_on_a_plant_that_acts_late_is_worth_less(seed: int) -> None:
     samples, _ = rig.run(rig.profile(seed, 2400), rig=rig.some_rig(seed), seed=seed)
-    found = [calibrated(late(samples, seconds)) for seconds in (0, 6, 12, 20)]
-    dispersions = [one.dispersion for one in found]
+    records = [calibrated(late(samples, seconds)) for seconds in (0, 6, 12, 20)]
+    dispersions = [record.dispersion for record in records]
     # What a later input explains is learned after four minutes: so they need not grow with the delay.
     assert min(dispersions[1:]) > 1.1 * dispersions[0]
     assert max(dispersions) > 1.5 * dispersions[0]
-    assert [one.earned for one in found] == [True, True, True, False]
+    assert [record.earned for record in records] == [True, True, True, False]
 
 
 def test_a_plant_at_rest_proves_nothing() -> None:

@@ -58,10 +58,10 @@ class RoomOnTrial(Plant, name="room_on_trial"):
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """Heat goes from the radiator to the air, from there to the walls, and outdoors."""
-        taken = self.surface * (self.air - self.wall) if "walls" in parts else 0.0
+        to_walls = self.surface * (self.air - self.wall) if "walls" in parts else 0.0
         rates = {
-            self.air: (self.radiator - self.losses * (self.air - self.outside) - taken) / self.capacity,
-            self.wall: (taken - self.shell * (self.wall - self.outside)) / self.mass,
+            self.air: (self.radiator - self.losses * (self.air - self.outside) - to_walls) / self.capacity,
+            self.wall: (to_walls - self.shell * (self.wall - self.outside)) / self.mass,
         }
         states = [self.air, self.wall] if "walls" in parts else [self.air]
         return Equations(
@@ -86,17 +86,17 @@ def week(*, opened: bool, stuck: range = range(0)) -> list[Sample]:
     random = np.random.default_rng(3)
     states = np.array([19.0, 17.0])
     heats = False
-    found = list[Sample]()
+    samples = list[Sample]()
     for k in range(7 * DAY):
         hour = k * 24 / DAY % 24
         outdoor = 5.0 + 5.0 * math.sin(2 * math.pi * (hour - 9) / 24) + 3.0 * math.sin(2 * math.pi * k / 700)
-        reading = found[-1].output if k in stuck else round(states[0] + random.normal(0.0, 0.05), 2)
+        reading = samples[-1].output if k in stuck else round(states[0] + random.normal(0.0, 0.05), 2)
         wanted = 21.0 if 6 <= hour < 22 else 17.0
         heats = reading < wanted + (0.3 if heats else -0.3)
-        found.append(Sample(k, round(k * PERIOD * 1e9), wanted, reading, 1200.0 * heats, (outdoor,)))
-        now = TRUTH.replace(losses=72.0) if opened and k in OPEN else TRUTH
-        states = advance(now, states, found[-1].input, PERIOD, np.array([outdoor]))
-    return found
+        samples.append(Sample(k, round(k * PERIOD * 1e9), wanted, reading, 1200.0 * heats, (outdoor,)))
+        parameters = TRUTH.replace(losses=72.0) if opened and k in OPEN else TRUTH
+        states = advance(parameters, states, samples[-1].input, PERIOD, np.array([outdoor]))
+    return samples
 
 
 def judged(samples: Iterable[Sample], *given: tuple[int, Parameters]) -> tuple[Monitor, list[Health]]:
@@ -104,11 +104,11 @@ def judged(samples: Iterable[Sample], *given: tuple[int, Parameters]) -> tuple[M
     monitor = Monitor(HealthSettings.of(RoomOnTrial, PERIOD))
     twins = dict(given)
     twin = None
-    said = list[Health]()
+    healths = list[Health]()
     for sample in samples:
         twin = twins.get(sample.index, twin)
-        said.append(monitor.push(sample, twin))
-    return monitor, said
+        healths.append(monitor.push(sample, twin))
+    return monitor, healths
 
 
 def test_a_window_is_named_once_a_later_match_has_proven_better() -> None:
@@ -120,9 +120,9 @@ def test_a_window_is_named_once_a_later_match_has_proven_better() -> None:
 
 def test_a_poorer_twin_is_not_followed_and_changes_nothing_that_is_said() -> None:
     samples = week(opened=True)
-    monitor, said = judged(samples, (DAY, GOOD), (2 * DAY, POOR))
+    monitor, healths = judged(samples, (DAY, GOOD), (2 * DAY, POOR))
     assert [alarm.fault for alarm in monitor.alarms] == [Fault.LOSSES_CHANGED]
-    assert said == judged(samples, (DAY, GOOD))[1]
+    assert healths == judged(samples, (DAY, GOOD))[1]
 
 
 def test_what_a_fault_may_have_touched_is_not_followed() -> None:

@@ -55,17 +55,17 @@ def rack(at: float, value: float) -> Any:
 
 def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[float, str, Any]]:
     """A rig: readings on a clock, commands where it changes, a set-point once, the room every few seconds."""
-    made = [(-0.2, "/sp", number(40.0)), (-0.1, "/heater", number(10.0))]
+    timed_messages = [(-0.2, "/sp", number(40.0)), (-0.1, "/heater", number(10.0))]
     for k in range(ticks):
         if hole[0] <= k < hole[1]:
             continue
-        made.append((k * PERIOD, "/rack", rack(k * PERIOD, 20.0 + k)))
+        timed_messages.append((k * PERIOD, "/rack", rack(k * PERIOD, 20.0 + k)))
         if k % 10 == 5:
-            made.append(((k + 0.25) * PERIOD, "/heater", number(10.0 + k)))
+            timed_messages.append(((k + 0.25) * PERIOD, "/heater", number(10.0 + k)))
         if k % 6 == 0:
-            made.append((k * PERIOD, "/room", temperature(k * PERIOD, 18.0 + 0.1 * k)))
-    made.append((ticks * PERIOD, "/said", STORE.types["std_msgs/msg/String"](data="done")))
-    return made
+            timed_messages.append((k * PERIOD, "/room", temperature(k * PERIOD, 18.0 + 0.1 * k)))
+    timed_messages.append((ticks * PERIOD, "/said", STORE.types["std_msgs/msg/String"](data="done")))
+    return timed_messages
 
 
 RACK = Channel("/rack", "readings[1].value")
@@ -80,7 +80,7 @@ def stored(folder: Path) -> Path:
 def read(path: Path, *channels: Channel) -> tuple[list[list[float]], list[str]]:
     """The numbers of channels, and what is said of the bag."""
     with open_bag(path) as opened:
-        return [held.values.tolist() for held in opened.series(channels or [RACK])], opened.notes
+        return [series.values.tolist() for series in opened.series(channels or [RACK])], opened.notes
 
 
 def listed(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
@@ -91,9 +91,9 @@ def listed(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
 def metadata(folder: Path, change: Callable[[Any], object]) -> None:
     """Change what `metadata.yaml` says."""
     file = folder / "metadata.yaml"
-    held = yaml.safe_load(file.read_text())
-    change(held["rosbag2_bagfile_information"])
-    file.write_text(yaml.safe_dump(held))
+    document = yaml.safe_load(file.read_text())
+    change(document["rosbag2_bagfile_information"])
+    file.write_text(yaml.safe_dump(document))
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +106,8 @@ def test_a_bag_of_either_storage_becomes_a_session(
     tmp_path: Path, plant: Path, storage: StoragePlugin
 ) -> None:
     source = bag(tmp_path / "bag", storage, messages())
-    done = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
-    assert done.returncode == 0, done.stderr
+    process = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    assert process.returncode == 0, process.stderr
     session = read_session(tmp_path / "session")
     samples = session.samples
     assert (len(samples), session.period) == (TICKS, PERIOD)
@@ -126,29 +126,27 @@ def test_a_bag_of_either_storage_becomes_a_session(
 def test_a_bag_of_two_loops_has_a_row_for_each_reading_of_the_first_output(tmp_path: Path) -> None:
     """The second sensor begins three readings later and is read between those of the first; one of the
     commands comes with every reading, the other when it changes."""
-    made = [(-0.2, "/sp", number(40.0)), (-0.2, "/sp2", number(50.0)), (-0.1, "/q2", number(7.0))]
+    timed_messages = [(-0.2, "/sp", number(40.0)), (-0.2, "/sp2", number(50.0)), (-0.1, "/q2", number(7.0))]
     for k in range(TICKS):
-        made += [
+        timed_messages += [
             (k * PERIOD, "/one", temperature(k * PERIOD, 20.0 + k)),
             (k * PERIOD, "/q1", number(1.0 + k)),
         ]
         if k >= 3:
-            made.append(((k + 0.5) * PERIOD, "/two", temperature((k + 0.5) * PERIOD, 90.0 - k)))
-    source = bag(tmp_path / "bag", StoragePlugin.MCAP, made)
+            timed_messages.append(((k + 0.5) * PERIOD, "/two", temperature((k + 0.5) * PERIOD, 90.0 - k)))
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
     entries = ["output.1=/one:temperature", "second=/two:temperature", "first_power=/q1", "input.2=/q2"]
     closed = [*entries, "reference.1=/sp", "second_reference=/sp2"]
-    found = map_bag(source, parse_map(closed), Heaters)
-    assert found.has_reference
-    assert [s.outputs[0] for s in found.samples] == [20.0 + k for k in range(4, TICKS)]
-    assert [s.outputs[1] for s in found.samples[:-1]] == pytest.approx(
-        [90.5 - k for k in range(4, TICKS - 1)]
-    )
-    assert {(s.references, s.inputs[1]) for s in found.samples} == {((40.0, 50.0), 7.0)}
+    run = map_bag(source, parse_map(closed), Heaters)
+    assert run.has_reference
+    assert [s.outputs[0] for s in run.samples] == [20.0 + k for k in range(4, TICKS)]
+    assert [s.outputs[1] for s in run.samples[:-1]] == pytest.approx([90.5 - k for k in range(4, TICKS - 1)])
+    assert {(s.references, s.inputs[1]) for s in run.samples} == {((40.0, 50.0), 7.0)}
     # The bag's time, 30 ms late: so long the command before still acts.
     late = 0.03 / PERIOD
-    assert [s.inputs[0] for s in found.samples] == pytest.approx([1.0 + k - late for k in range(4, TICKS)])
+    assert [s.inputs[0] for s in run.samples] == pytest.approx([1.0 + k - late for k in range(4, TICKS)])
     assert (
-        f"Of {TICKS} messages of first, {TICKS - 4} are used (left out: 4 before the first" in found.notes[-1]
+        f"Of {TICKS} messages of first, {TICKS - 4} are used (left out: 4 before the first" in run.notes[-1]
     )
     with pytest.raises(RecordingError, match="no topic is mapped to second; add --map second=TOPIC:FIELD"):
         map_bag(source, parse_map([entries[0], *entries[2:]]), Heaters)
@@ -159,32 +157,32 @@ def test_a_bag_of_two_loops_has_a_row_for_each_reading_of_the_first_output(tmp_p
 
 
 def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:
-    done = run_twinmatch("import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list")
-    assert done.returncode == 0, done.stderr
-    row = next(line for line in done.stdout.splitlines() if "/rack" in line)
+    process = run_twinmatch("import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list")
+    assert process.returncode == 0, process.stderr
+    row = next(line for line in process.stdout.splitlines() if "/rack" in line)
     assert "lab_msgs/msg/Rack" in row
     assert f" {TICKS} " in row
     assert " 1.99 " in row  # a second, over all messages
     assert "readings[0].value" in row
-    assert "reference=/sp:data" in done.stdout
-    assert "input=/heater:data" in done.stdout
-    assert "room=/room:temperature" in done.stdout
+    assert "reference=/sp:data" in process.stdout
+    assert "input=/heater:data" in process.stdout
+    assert "room=/room:temperature" in process.stdout
 
 
 def test_without_a_set_point_the_session_says_so(tmp_path: Path, plant: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     entries = [entry for entry in MAP if not entry.startswith("reference")]
-    done = run_twinmatch("import", source, "--plant", plant, "--map", *entries, "-o", tmp_path / "session")
-    assert done.returncode == 0, done.stderr
+    process = run_twinmatch("import", source, "--plant", plant, "--map", *entries, "-o", tmp_path / "session")
+    assert process.returncode == 0, process.stderr
     assert not read_session(tmp_path / "session").has_reference
 
 
 def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
-    made = messages()
-    source = bag(tmp_path / "bag", StoragePlugin.MCAP, made)
+    timed_messages = messages()
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
     entries = parse_map([*MAP[1:], "output=/rack:readings[1].value; scale=0.5; offset=1"])
-    found = map_bag(source, entries.joined(parse_map([])), find_plant(str(plant)))
-    assert found.samples[10].output == pytest.approx(0.5 * 30.0 + 1)
+    run = map_bag(source, entries.joined(parse_map([])), find_plant(str(plant)))
+    assert run.samples[10].output == pytest.approx(0.5 * 30.0 + 1)
     slower = run_twinmatch(
         "import", source, "--plant", plant, "--map", *MAP, "--period", "1.5", "-o", tmp_path / "slow"
     )
@@ -241,10 +239,10 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
 ) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(hole=(20, 32)))
     words = ["import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session"]
-    done = run_twinmatch(*words)
-    assert done.returncode == 2
-    assert "a gap of 6.5 s after reading 20" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    process = run_twinmatch(*words)
+    assert process.returncode == 2
+    assert "a gap of 6.5 s after reading 20" in process.stderr
+    assert len(process.stderr.splitlines()) == 1
     assert run_twinmatch(*words, "--bridge", "10").returncode == 0
     assert len(read_session(tmp_path / "session").samples) == TICKS
 
@@ -256,9 +254,9 @@ def test_a_file_without_its_folder_will_do(tmp_path: Path, plant: Path, storage:
     alone = file.rename(
         tmp_path / f"0_anything_2026_05_23-10_00_00{file.suffix}"
     )  # as ROS 2 Lyrical names it
-    found = map_bag(alone, parse_map(MAP), find_plant(str(plant)))
-    again = bag(tmp_path / "again", storage, messages())
-    assert found.samples == map_bag(again, parse_map(MAP), find_plant(str(plant))).samples
+    run = map_bag(alone, parse_map(MAP), find_plant(str(plant)))
+    second_bag = bag(tmp_path / "again", storage, messages())
+    assert run.samples == map_bag(second_bag, parse_map(MAP), find_plant(str(plant))).samples
 
 
 def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant: Path) -> None:
@@ -267,17 +265,17 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
     holed = bag(tmp_path / "b", StoragePlugin.MCAP, messages(hole=(20, 32)))
     for source, session in ((full, "whole"), (holed, "split")):
         words = ["import", source, "-o", tmp_path / session, "--plant", plant, "--gaps", "split"]
-        done = run_twinmatch(*words, "--map", *MAP)
-        assert done.returncode == 0, done.stderr
-    assert "split into 2 stretches by gaps of 6.5 s" in done.stdout
+        process = run_twinmatch(*words, "--map", *MAP)
+        assert process.returncode == 0, process.stderr
+    assert "split into 2 stretches by gaps of 6.5 s" in process.stdout
     by_index = {sample.index: sample for sample in read_session(tmp_path / "whole").samples}
     samples = read_session(tmp_path / "split").samples
     assert [s.index for s in samples] == [k for k in range(TICKS) if not 20 <= k < 32]
     for sample in samples:
-        same = by_index[sample.index]
-        assert (sample.stamp, sample.output) == (same.stamp, same.output)
-        assert sample.disturbances == pytest.approx(same.disturbances)
-        assert sample.input == same.input or 32 <= sample.index <= 35
+        whole_sample = by_index[sample.index]
+        assert (sample.stamp, sample.output) == (whole_sample.stamp, whole_sample.output)
+        assert sample.disturbances == pytest.approx(whole_sample.disturbances)
+        assert sample.input == whole_sample.input or 32 <= sample.index <= 35
     assert run_twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
 
 
@@ -311,9 +309,9 @@ def test_a_bag_without_its_beginning_is_read_and_says_so(
     file = stored(source)
     file.write_bytes(b"\0" * 1000 + file.read_bytes()[1000:])
     assert main(["import", str(source), "--list"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"{file.name}: the file is damaged: its first bytes are wrong" in said
-    assert "/rack" in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"{file.name}: the file is damaged: its first bytes are wrong" in printed
+    assert "/rack" in printed
 
 
 def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) -> None:
@@ -328,8 +326,8 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
         "reference=/plant/sample:reference[0]",
         "room=/plant/sample:disturbances[0]",
     ]
-    done = run_twinmatch("import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second")
-    assert done.returncode == 0, done.stderr
+    process = run_twinmatch("import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second")
+    assert process.returncode == 0, process.stderr
     once, twice = (read_session(tmp_path / name).samples for name in ("first", "second"))
     assert [(s.output, s.reference, s.disturbances) for s in twice] == [
         (s.output, s.reference, s.disturbances) for s in once
@@ -343,18 +341,20 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
 )
 def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], widths: list[float]) -> None:
     """The sum over the rows is that over the commands, summed step by step."""
-    held = dict([(-1.0, 5.0), *steps])
-    signal = TimedSignal(np.array(sorted(held)), np.array([held[at] for at in sorted(held)]))
+    values_from = dict([(-1.0, 5.0), *steps])
+    signal = TimedSignal(
+        np.array(sorted(values_from)), np.array([values_from[begin] for begin in sorted(values_from)])
+    )
     time = np.concatenate([[0.0], np.cumsum(widths)])
     means = signal.means(time, np.inf)
     total = 0.0
-    edges = [*[at for at in sorted(held) if 0.0 < at < time[-1]], time[-1]]
-    at = 0.0
-    value = held[max(t for t in held if t <= 0.0)]
+    edges = [*[begin for begin in sorted(values_from) if 0.0 < begin < time[-1]], time[-1]]
+    previous = 0.0
+    value = values_from[max(t for t in values_from if t <= 0.0)]
     for edge in edges:
-        total += value * (edge - at)
-        at = edge
-        value = held.get(edge, value)
+        total += value * (edge - previous)
+        previous = edge
+        value = values_from.get(edge, value)
     assert float(np.sum(means[:-1] * np.diff(time))) == pytest.approx(total, abs=1e-6)
 
 
@@ -424,18 +424,18 @@ def test_the_folder_of_a_killed_recorder_is_read_without_its_metadata(
     source = bag(tmp_path / "bag", storage, messages())
     whole = map_bag(source, parse_map(MAP), find_plant(str(plant)))
     (source / "metadata.yaml").unlink()
-    found = map_bag(source, parse_map(MAP), find_plant(str(plant)))
-    assert found.samples == whole.samples
-    assert "metadata.yaml is missing or unreadable: the recording was not finished." in found.notes
+    run = map_bag(source, parse_map(MAP), find_plant(str(plant)))
+    assert run.samples == whole.samples
+    assert "metadata.yaml is missing or unreadable: the recording was not finished." in run.notes
 
 
 def test_a_truncated_file_is_read_up_to_its_end_and_says_so(tmp_path: Path) -> None:
     file = stored(bag(tmp_path / "bag", StoragePlugin.MCAP, messages()))
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 3])
-    (held,), (note,) = read(file)
-    assert 0 < len(held) < TICKS
-    assert held == READINGS[: len(held)]
+    (readings,), (note,) = read(file)
+    assert 0 < len(readings) < TICKS
+    assert readings == READINGS[: len(readings)]
     assert note.startswith("bag.mcap: the file is truncated; ")
 
 
@@ -477,7 +477,7 @@ def mixed(file: Path, profile: str) -> Path:
         out = McapWriter(stream)
         out.start(profile=profile, library="somebody")
         kind = "std_msgs/msg/Float64"
-        made = {
+        schemas = {
             "/stated": ("cdr", out.register_schema(kind, "ros2msg", b"float64 data")),
             "/standard": ("cdr", out.register_schema(kind, "", b"")),
             "/idl": ("cdr", out.register_schema(kind, "ros2idl", b"module { nonsense")),
@@ -490,7 +490,7 @@ def mixed(file: Path, profile: str) -> Path:
             "/short": ("cdr", out.register_schema("lab_msgs/msg/Long", "ros2msg", b"float64 a\nfloat64 b")),
         }
         channels = {
-            name: out.register_channel(name, encoding, schema) for name, (encoding, schema) in made.items()
+            name: out.register_channel(name, encoding, schema) for name, (encoding, schema) in schemas.items()
         }
         for k in range(3):
             for channel in channels.values():
@@ -599,9 +599,9 @@ def test_a_bag_of_ros_1_is_read_in_the_order_of_recording(tmp_path: Path) -> Non
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer1(tmp_path / "one.bag") as writer:
         heater = writer.add_connection("/heater", "std_msgs/msg/Float64", typestore=store)
-        for at, value in ((5, 1.0), (6, 2.0), (7, 3.0), (1, 4.0)):
+        for second, value in ((5, 1.0), (6, 2.0), (7, 3.0), (1, 4.0)):
             message = store.types["std_msgs/msg/Float64"](data=value)
-            writer.write(heater, at * 10**9, store.serialize_ros1(message, "std_msgs/msg/Float64"))
+            writer.write(heater, second * 10**9, store.serialize_ros1(message, "std_msgs/msg/Float64"))
     assert read(tmp_path / "one.bag", Channel("/heater", "")) == ([[1.0, 2.0, 3.0, 4.0]], [])
     (tmp_path / "one.bag").write_bytes((tmp_path / "one.bag").read_bytes()[:2000])
     with pytest.raises(TwinmatchError, match="cannot be read as a bag, or is damaged"):

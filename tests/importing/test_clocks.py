@@ -58,12 +58,14 @@ def loop(at: float, reading: float, *, recorded: float | None = None) -> Message
 def bag_of(folder: Path, made: Messages, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
     """Write messages in this order, whatever their times are."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
-        known: dict[str, Any] = {}
-        for at, name, message in made:
+        connections: dict[str, Any] = {}
+        for seconds, name, message in made:
             kind = message.__msgtype__
-            if name not in known:
-                known[name] = writer.add_connection(name, kind, typestore=STORE)
-            writer.write(known[name], round((START + at) * 1e9), STORE.serialize_cdr(message, kind))
+            if name not in connections:
+                connections[name] = writer.add_connection(name, kind, typestore=STORE)
+            writer.write(
+                connections[name], round((START + seconds) * 1e9), STORE.serialize_cdr(message, kind)
+            )
     return folder
 
 
@@ -94,17 +96,17 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
     back: float, storage: StoragePlugin, tmp_path: Path, plant: type[Plant]
 ) -> None:
     """Sorted by time, a third of the readings vanished, or those of both stretches alternated."""
-    made = list(SETPOINT)
+    timed_messages = list(SETPOINT)
     half = ROWS // 2 * STEP
-    for at, reading in ticks():
-        made += loop(at if at < half else at - back, reading)
-    source = bag_of(tmp_path / "bag", made, storage)
+    for seconds, reading in ticks():
+        timed_messages += loop(seconds if seconds < half else seconds - back, reading)
+    source = bag_of(tmp_path / "bag", timed_messages, storage)
     with pytest.raises(RecordingError, match=r"in reading 60 to .* in reading 62; if a clock was set back"):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
     # The first reading after it comes before the first command by the same clock.
     assert [value for part in stretches(run) for value in part] == [
-        round(value, 6) for at, value in ticks() if at != half
+        round(value, 6) for seconds, value in ticks() if seconds != half
     ]
     assert [len(part) for part in stretches(run)] == [ROWS // 2, ROWS // 2 - 1]
     assert any("split into 2 stretches by steps back of " in note for note in run.notes)
@@ -116,21 +118,21 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
 
 def test_two_runs_of_a_simulator_that_was_reset_stay_two(tmp_path: Path, plant: type[Plant]) -> None:
     """Both begin at 10 s; the second one was taken for repeated messages."""
-    made = [(at + 10.0, topic, message) for at, topic, message in SETPOINT]
+    timed_messages = [(seconds + 10.0, topic, message) for seconds, topic, message in SETPOINT]
     for first in (0, 300):
-        for (at, _), (_, reading) in zip(ticks(), ticks(first=first), strict=True):
-            made += loop(at + 10.0, reading)
-    run = mapped(bag_of(tmp_path / "bag", made), plant, gaps="split")
+        for (seconds, _), (_, reading) in zip(ticks(), ticks(first=first), strict=True):
+            timed_messages += loop(seconds + 10.0, reading)
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), plant, gaps="split")
     assert [(len(part), part[1] > 40.0) for part in stretches(run)] == [(ROWS, False), (ROWS - 1, True)]
 
 
 def test_messages_that_arrive_late_do_not_set_the_clock_back(tmp_path: Path, plant: type[Plant]) -> None:
-    made = list(SETPOINT)
-    for at, reading in ticks():
-        made += loop(at, reading)
-    late = made.pop(2 * 50)  # recorded 2.5 s after its stamp
-    made.insert(2 * 55, (made[2 * 55][0], *late[1:]))
-    run = mapped(bag_of(tmp_path / "bag", made), plant)
+    timed_messages = list(SETPOINT)
+    for seconds, reading in ticks():
+        timed_messages += loop(seconds, reading)
+    late = timed_messages.pop(2 * 50)  # recorded 2.5 s after its stamp
+    timed_messages.insert(2 * 55, (timed_messages[2 * 55][0], *late[1:]))
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), plant)
     assert readings(run) == [round(value, 6) for _, value in ticks()]
 
 
@@ -139,16 +141,18 @@ def test_a_table_whose_clock_goes_back_is_split_or_refused_too(
     gaps: Any, tmp_path: Path, plant: type[Plant]
 ) -> None:
     table = tmp_path / "log.csv"
-    rows = [f"{at if at < 30.0 else at - 7.0},{reading},{reading}" for at, reading in ticks()]
+    rows = [
+        f"{seconds if seconds < 30.0 else seconds - 7.0},{reading},{reading}" for seconds, reading in ticks()
+    ]
     table.write_text("\n".join(["time,output,input", *rows]), "utf-8")
-    given = parse_map(["time=time", "output=output", "input=input"])
+    signal_map = parse_map(["time=time", "output=output", "input=input"])
     if gaps == "refuse":
         with pytest.raises(
             RecordingError, match=r"from 29.5 s in line 61 to 23 s in line 62; if a clock was set"
         ):
-            map_samples(read_table(table), given, plant)
+            map_samples(read_table(table), signal_map, plant)
         return
-    run = map_samples(read_table(table), given, plant, gaps=gaps)
+    run = map_samples(read_table(table), signal_map, plant, gaps=gaps)
     assert [len(part) for part in stretches(run)] == [60, 60]
     assert readings(run) == [round(value, 6) for _, value in ticks()]
     assert all(
@@ -171,18 +175,18 @@ def test_a_hole_in_the_messages_of_an_input_is_a_gap(
     begin: float, end: float, tmp_path: Path, plant: type[Plant]
 ) -> None:
     """Its last value was held for as long as it lasted."""
-    made = list(SETPOINT)
-    for at, reading in ticks():
-        both = loop(at, reading)
-        made += both[:1] if begin < at < end else both
-    source = bag_of(tmp_path / "bag", made)
+    timed_messages = list(SETPOINT)
+    for seconds, reading in ticks():
+        both = loop(seconds, reading)
+        timed_messages += both[:1] if begin < seconds < end else both
+    source = bag_of(tmp_path / "bag", timed_messages)
     words = (
         rf"input \(/heater\) has no message for .* s from reading {round(begin / STEP) + 3} on: .*--bridge"
     )
     with pytest.raises(RecordingError, match=words):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
-    unknown = [value for at, value in ticks() if begin + STEP < at <= end]
+    unknown = [value for seconds, value in ticks() if begin + STEP < seconds <= end]
     assert readings(run) == [round(value, 6) for _, value in ticks() if value not in unknown]
     assert run.notes[-1].startswith(
         f"Of {ROWS} messages of the output, {ROWS - len(unknown)} are used "
@@ -194,13 +198,13 @@ def test_a_hole_in_the_messages_of_an_input_is_a_gap(
 def test_an_input_that_is_published_when_it_changes_applies_until_then(
     tmp_path: Path, plant: type[Plant]
 ) -> None:
-    made = list(SETPOINT)
+    timed_messages = list(SETPOINT)
     changes = {0: 10.0, 3: 80.0, 7: 0.0, 8: 5.0, 9: 90.0, 11: 0.0, 14: 50.0, 100: 20.0}
-    for k, (at, reading) in enumerate(ticks()):
-        made += loop(at, reading)[:1]
+    for k, (seconds, reading) in enumerate(ticks()):
+        timed_messages += loop(seconds, reading)[:1]
         if k in changes:
-            made.append((at, "/heater", number(changes[k])))
-    run = mapped(bag_of(tmp_path / "bag", made), plant)
+            timed_messages.append((seconds, "/heater", number(changes[k])))
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), plant)
     assert [run.samples[k].input for k in (5, 12, 60, 110)] == [80.0, 0.0, 50.0, 20.0]
 
 
@@ -218,21 +222,25 @@ def reordered(k: int, at: float, value: float) -> Messages:
 
 
 def with_gripper(k: int, at: float, value: float) -> Messages:
-    own = (at, "/joint_states", joints(at, **{"arm/elbow": value}))
-    return [own, (at + 0.2, "/joint_states", joints(at + 0.2, gripper=-5.0))] if k % 2 else [own]
+    arm_message = (at, "/joint_states", joints(at, **{"arm/elbow": value}))
+    return (
+        [arm_message, (at + 0.2, "/joint_states", joints(at + 0.2, gripper=-5.0))] if k % 2 else [arm_message]
+    )
 
 
 @pytest.mark.parametrize(("made", "other"), [(reordered, "wrist"), (with_gripper, "gripper")])
 def test_a_joint_is_followed_by_its_name_and_not_by_an_index_that_changes(
     made: Any, other: str, tmp_path: Path, plant: type[Plant]
 ) -> None:
-    every = [message for k, (at, value) in enumerate(ticks()) for message in made(k, at, value)]
-    source = bag_of(tmp_path / "bag", SETPOINT + every)
-    by = "output=/joint_states:position[{0}]", "input=/joint_states:effort[{0}]", "reference=/sp"
+    joint_messages = [
+        message for k, (seconds, value) in enumerate(ticks()) for message in made(k, seconds, value)
+    ]
+    source = bag_of(tmp_path / "bag", SETPOINT + joint_messages)
+    entries = "output=/joint_states:position[{0}]", "input=/joint_states:effort[{0}]", "reference=/sp"
     words = rf"position\[0\] is arm/elbow in one message and {other} in another; .*position\[arm/elbow\]"
     with pytest.raises(RecordingError, match=words):
-        mapped(source, plant, [entry.format(0) for entry in by])
-    run = mapped(source, plant, [entry.format("arm/elbow") for entry in by])
+        mapped(source, plant, [entry.format(0) for entry in entries])
+    run = mapped(source, plant, [entry.format("arm/elbow") for entry in entries])
     assert readings(run) == [round(value, 6) for _, value in ticks()]
     assert run.period == STEP
 
@@ -240,30 +248,40 @@ def test_a_joint_is_followed_by_its_name_and_not_by_an_index_that_changes(
 def test_joints_are_listed_and_proposed_by_their_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    every = [message for k, (at, value) in enumerate(ticks()) for message in with_gripper(k, at, value)]
-    assert main(["import", str(bag_of(tmp_path / "bag", SETPOINT + every)), "--list"]) == 0
-    told = capsys.readouterr().out
+    joint_messages = [
+        message for k, (seconds, value) in enumerate(ticks()) for message in with_gripper(k, seconds, value)
+    ]
+    assert main(["import", str(bag_of(tmp_path / "bag", SETPOINT + joint_messages)), "--list"]) == 0
+    listing = capsys.readouterr().out
     numbers = "position[arm/elbow], effort[arm/elbow], position[gripper], effort[gripper]"
-    assert numbers in " ".join(re.sub("[│┃|]", " ", told).split())
-    assert "[0]" not in told
-    assert "'output=/joint_states:position[arm/elbow]'" in told
+    assert numbers in " ".join(re.sub("[│┃|]", " ", listing).split())
+    assert "[0]" not in listing
+    assert "'output=/joint_states:position[arm/elbow]'" in listing
 
 
 def test_radians_of_a_joint_become_the_degrees_of_the_plant(tmp_path: Path) -> None:
     turned = find_plant(str(plant_file(tmp_path, "turned", ('unit="°C", noise', 'unit="deg", noise'))))
-    every = [message for k, (at, value) in enumerate(ticks()) for message in reordered(k, at, value / 100)]
+    joint_messages = [
+        message
+        for k, (seconds, value) in enumerate(ticks())
+        for message in reordered(k, seconds, value / 100)
+    ]
     entries = ["output=/joint_states:position[arm/elbow]", "input=/heater"]
-    made = [message for k in range(ROWS) for message in (every[k], (every[k][0], "/heater", number(20.0)))]
-    run = mapped(bag_of(tmp_path / "bag", made), turned, entries)
+    timed_messages = [
+        message
+        for k in range(ROWS)
+        for message in (joint_messages[k], (joint_messages[k][0], "/heater", number(20.0)))
+    ]
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), turned, entries)
     assert run.samples[5].output == pytest.approx(np.rad2deg(0.205))
 
 
 def test_the_clock_that_all_stamps_share_counts(tmp_path: Path, plant: type[Plant]) -> None:
     """A simulator at half of real time: by the times of the bag, every time constant is doubled."""
-    made: Messages = [(-0.5, "/sp", number(40.0)), (-0.5, "/heater", number(20.0))]
-    for at, reading in ticks():
-        made += loop(at + 5.0 - START, reading, recorded=2 * at)
-    run = mapped(bag_of(tmp_path / "bag", made), plant)
+    timed_messages: Messages = [(-0.5, "/sp", number(40.0)), (-0.5, "/heater", number(20.0))]
+    for seconds, reading in ticks():
+        timed_messages += loop(seconds + 5.0 - START, reading, recorded=2 * seconds)
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), plant)
     assert (len(run.samples), run.period) == (ROWS, STEP)
     assert any(
         "share a clock of their own, which counts" in n and "0.5 times as fast" in n for n in run.notes
@@ -277,13 +295,13 @@ def test_stamps_of_clocks_that_disagree_or_stand_are_not_used(
     of_the_room: float | None, tmp_path: Path, plant: type[Plant]
 ) -> None:
     """Without a stamp of the room, that of every reading is the same."""
-    made = list(SETPOINT)
-    for at, reading in ticks():
-        stamp = at - 500.0 if of_the_room is not None else -500.0
-        made += loop(stamp, reading, recorded=at)
+    timed_messages = list(SETPOINT)
+    for seconds, reading in ticks():
+        stamp = seconds - 500.0 if of_the_room is not None else -500.0
+        timed_messages += loop(stamp, reading, recorded=seconds)
         if of_the_room is not None:
-            made.append((at, "/room", temperature(at + of_the_room, 18.0)))
+            timed_messages.append((seconds, "/room", temperature(seconds + of_the_room, 18.0)))
     entries = MAP if of_the_room is None else [*MAP, "room=/room:temperature"]
-    run = mapped(bag_of(tmp_path / "bag", made), plant, entries)
+    run = mapped(bag_of(tmp_path / "bag", timed_messages), plant, entries)
     assert run.samples[0].stamp == START * 10**9
     assert any("have clocks of their own" in n and "the times of the bag are used" in n for n in run.notes)

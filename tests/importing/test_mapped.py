@@ -58,12 +58,12 @@ OF_TWO = ["time=s; unit=s", "first=T1", "second=T2", "first_power=Q1", "second_p
 
 def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
     closed = [*OF_TWO, "first_reference=SP1", "second_reference=SP2"]
-    found = mapped(tmp_path, Heaters, TWO, closed)
-    assert found.has_reference
-    assert found.samples[2] == Sample(2, EPOCH + 4 * 10**9, (45.0, 55.0), (23.0, 33.0), (12.0, 20.0))
+    run = mapped(tmp_path, Heaters, TWO, closed)
+    assert run.has_reference
+    assert run.samples[2] == Sample(2, EPOCH + 4 * 10**9, (45.0, 55.0), (23.0, 33.0), (12.0, 20.0))
     names = ("time", "output.1", "output.2", "input.1", "input.2", "reference.1", "reference.2")
     numbered = [f"{name}={entry.partition('=')[2]}" for name, entry in zip(names, closed, strict=True)]
-    assert mapped(tmp_path, Heaters, TWO, numbered).samples == found.samples
+    assert mapped(tmp_path, Heaters, TWO, numbered).samples == run.samples
     with pytest.raises(RecordingError, match=r"no signal 'output.3'; it has time, first \(output.1\), s"):
         mapped(tmp_path, Heaters, TWO, [*numbered, "output.3=T1"])
     with pytest.raises(RecordingError, match=r"first and output.1 are the same signal"):
@@ -81,23 +81,25 @@ def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
         mapped(tmp_path, Heaters, TWO, [*OF_TWO[:3], "first_power=Q1; offset=290", OF_TWO[4]])
     plant = Path(exchanging.__file__)
     session = tmp_path / "two"
-    made = run_twinmatch("import", written(tmp_path, TWO), "--plant", plant, "--map", *closed, "-o", session)
-    assert made.returncode == 0, made.stderr
-    assert read_session(session).samples == found.samples
+    process = run_twinmatch(
+        "import", written(tmp_path, TWO), "--plant", plant, "--map", *closed, "-o", session
+    )
+    assert process.returncode == 0, process.stderr
+    assert read_session(session).samples == run.samples
 
 
 def test_means_switches_and_disturbances_are_taken_as_the_map_says(
     tmp_path: Path, heated: type[Plant]
 ) -> None:
-    found = mapped(tmp_path, heated)
-    assert [s.output for s in found.samples] == [21, 22, 23, 24]
-    assert [s.input for s in found.samples] == [0, 100, 100, 0]
-    assert [s.disturbances for s in found.samples] == [(19.5,), (19.5,), (19.6,), (19.6,)]
-    assert [s.index for s in found.samples] == [0, 1, 2, 3]
-    assert found.period == 1.0
-    assert not found.has_reference
-    assert {s.reference for s in found.samples} == {21.0}
-    assert any("no set-point" in note for note in found.notes)
+    run = mapped(tmp_path, heated)
+    assert [s.output for s in run.samples] == [21, 22, 23, 24]
+    assert [s.input for s in run.samples] == [0, 100, 100, 0]
+    assert [s.disturbances for s in run.samples] == [(19.5,), (19.5,), (19.6,), (19.6,)]
+    assert [s.index for s in run.samples] == [0, 1, 2, 3]
+    assert run.period == 1.0
+    assert not run.has_reference
+    assert {s.reference for s in run.samples} == {21.0}
+    assert any("no set-point" in note for note in run.notes)
 
 
 @pytest.mark.parametrize(
@@ -124,18 +126,18 @@ def test_means_switches_and_disturbances_are_taken_as_the_map_says(
          "dotted dates", "a row twice"],
 )  # fmt: skip
 def test_a_table_may_be_written_in_several_ways(tmp_path: Path, heated: type[Plant], text: str) -> None:
-    found = mapped(tmp_path, heated, text)
-    np.testing.assert_allclose([s.output for s in found.samples], [21, 22, 23, 24], atol=1e-9)
-    assert [s.input for s in found.samples] == [0, 100, 100, 0]
-    assert found.period == 1.0
+    run = mapped(tmp_path, heated, text)
+    np.testing.assert_allclose([s.output for s in run.samples], [21, 22, 23, 24], atol=1e-9)
+    assert [s.input for s in run.samples] == [0, 100, 100, 0]
+    assert run.period == 1.0
 
 
 def test_rows_of_one_time_that_differ_are_refused(tmp_path: Path, heated: type[Plant]) -> None:
     row = next(line for line in CSV.splitlines(keepends=True) if line.startswith("2,"))
-    other = row.replace(",23,", ",23.5,").replace(",24,", ",24.5,")
-    assert other != row
+    differing = row.replace(",23,", ",23.5,").replace(",24,", ",24.5,")
+    assert differing != row
     with pytest.raises(RecordingError, match=r"time does not advance from 2 s in line 4 to 2 s in line 5"):
-        mapped(tmp_path, heated, CSV.replace(row, row + other))
+        mapped(tmp_path, heated, CSV.replace(row, row + differing))
 
 
 HEADLESS = "".join(f"{k},2{k % 3}.5,{k // 40 * 10}\n" for k in range(120))
@@ -174,8 +176,8 @@ def test_a_drive_may_be_called_output(tmp_path: Path) -> None:
     table.write_text("time,temperature,output\n0,20,0\n1,21,50\n2,22,50\n")
     maps = SignalMap(), parse_map(["output=temperature", "input=output"])
     for given_map in maps:
-        done = map_samples(read_table(table), with_plant_names(read_table(table), plant, given_map), plant)
-        assert [(sample.output, sample.input) for sample in done.samples] == [(20, 0), (21, 50), (22, 50)]
+        run = map_samples(read_table(table), with_plant_names(read_table(table), plant, given_map), plant)
+        assert [(sample.output, sample.input) for sample in run.samples] == [(20, 0), (21, 50), (22, 50)]
 
 
 def test_quoted_decimal_commas_are_read(tmp_path: Path) -> None:
@@ -280,16 +282,16 @@ def test_days_of_a_spreadsheet_are_dates_if_the_map_says_so(tmp_path: Path, heat
     text = CSV
     for k, day in enumerate(days):
         text = text.replace(f"\n{k},", f"\n{day:.9f},")
-    found = mapped(tmp_path, heated, text, ["time=t; unit=d", *MAP[1:]])
-    assert found.period == pytest.approx(1.0, abs=1e-3)
+    run = mapped(tmp_path, heated, text, ["time=t; unit=d", *MAP[1:]])
+    assert run.period == pytest.approx(1.0, abs=1e-3)
     # 45321 is 2024-01-30 in every spreadsheet.
-    assert found.samples[0].stamp == round(1_706_616_000e9)
+    assert run.samples[0].stamp == round(1_706_616_000e9)
 
 
 def test_a_mark_for_no_value_is_not_a_reading(tmp_path: Path, heated: type[Plant]) -> None:
-    found = mapped(tmp_path, heated, CSV.replace("2,22,24,True,19.6", "2,22,24,True,-999"))
-    assert [s.disturbances for s in found.samples] == [(19.5,), (19.5,), (19.55,), (19.6,)]
-    assert any("1 rows lack a value" in note for note in found.notes)
+    run = mapped(tmp_path, heated, CSV.replace("2,22,24,True,19.6", "2,22,24,True,-999"))
+    assert [s.disturbances for s in run.samples] == [(19.5,), (19.5,), (19.55,), (19.6,)]
+    assert any("1 rows lack a value" in note for note in run.notes)
 
 
 def test_a_number_that_is_a_mark_elsewhere_may_be_a_reading() -> None:
@@ -300,27 +302,27 @@ def test_a_number_that_is_a_mark_elsewhere_may_be_a_reading() -> None:
 def test_without_set_points_the_loop_is_taken_as_not_known(tmp_path: Path) -> None:
     text = "time,speed,volts\n0,1,2\n0.05,1,2\n0.1,1,2\n"
     table = read_table(written(tmp_path, text))
-    found = map_samples(table, with_plant_names(table, Motor, SignalMap()), Motor)
+    run = map_samples(table, with_plant_names(table, Motor, SignalMap()), Motor)
     assert Motor.loop is not None
-    assert not found.has_reference
+    assert not run.has_reference
     records = {PLANT: {"plant": "tclab", "reference": "none"}}
-    session = read_session(write_session(tmp_path / "run", found.samples, records=records))
+    session = read_session(write_session(tmp_path / "run", run.samples, records=records))
     assert (session.plant, session.has_reference) == ("tclab", False)
     assert terms_from_files(session).settings.law is None
 
 
 def test_a_few_odd_readings_are_those_of_a_sensor_that_failed(tmp_path: Path, heated: type[Plant]) -> None:
     rows = [f"{k},{-127 if k == 50 else 30},30,True,20" for k in range(300)]
-    found = mapped(tmp_path, heated, "\n".join(["t,T1,T2,on,room", *rows]), ["time=t", "output=T1", *MAP[2:]])
-    assert found.samples[50].output == -127
-    assert any("line 52, output is -127" in note for note in found.notes)
+    run = mapped(tmp_path, heated, "\n".join(["t,T1,T2,on,room", *rows]), ["time=t", "output=T1", *MAP[2:]])
+    assert run.samples[50].output == -127
+    assert any("line 52, output is -127" in note for note in run.notes)
 
 
 def test_columns_called_as_the_signals_need_no_map(tmp_path: Path, heated: type[Plant]) -> None:
     table = read_table(written(tmp_path, CSV.replace("t,T1,T2,on", "Time (s),Temperature (degC),x,Heater")))
-    found = map_samples(table, with_plant_names(table, heated, SignalMap()), heated)
-    assert found.sources["output"].places == ("Temperature (degC)",)
-    assert found.sources["room"].places == ("room",)
+    run = map_samples(table, with_plant_names(table, heated, SignalMap()), heated)
+    assert run.sources["output"].places == ("Temperature (degC)",)
+    assert run.sources["room"].places == ("room",)
 
 
 @given(
@@ -338,10 +340,10 @@ def test_what_was_scaled_by_a_logger_is_scaled_back(
     raw = (np.array(values) - offset) / scale
     text = "k,raw,duty\n" + "".join(f"{k * 0.5!r},{float(x)!r},0.5\n" for k, x in enumerate(raw))
     entries = ["time=k", f"output=raw; scale={scale!r}; offset={offset!r}", "input=duty; unit=1"]
-    found = mapped(tmp_path_factory.getbasetemp(), heated, text, entries)
-    np.testing.assert_allclose([s.output for s in found.samples], values, atol=1e-9)
-    assert {s.input for s in found.samples} == {50.0}
-    assert found.period == 0.5
+    run = mapped(tmp_path_factory.getbasetemp(), heated, text, entries)
+    np.testing.assert_allclose([s.output for s in run.samples], values, atol=1e-9)
+    assert {s.input for s in run.samples} == {50.0}
+    assert run.period == 0.5
 
 
 def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
@@ -350,16 +352,20 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
         "plant: block\nperiod: 3\ncolumns:\n  time: {column: time, unit: ns}\n  output: [t2, t3]\n"
         "  input: heater_on; unit=1\n  room: {column: t1, scale: 0.1, offset: -40}\n"
     )
-    found = read_map(path)
-    assert (found.plant, found.period) == ("block", 3.0)
-    assert found.sources == {
+    signal_map = read_map(path)
+    assert (signal_map.plant, signal_map.period) == ("block", 3.0)
+    assert signal_map.sources == {
         "time": SignalSource(("time",), "ns"),
         "output": SignalSource(("t2", "t3")),
         "input": SignalSource(("heater_on",), "1"),
         "room": SignalSource(("t1",), scale=0.1, offset=-40.0),
     }
-    said = [f"{signal}={source.text}" for signal, source in found.sources.items() if signal != "output"]
-    assert all(parse_map(said).sources[name] == found.sources[name] for name in ("time", "input", "room"))
+    entries = [
+        f"{signal}={source.text}" for signal, source in signal_map.sources.items() if signal != "output"
+    ]
+    assert all(
+        parse_map(entries).sources[name] == signal_map.sources[name] for name in ("time", "input", "room")
+    )
 
 
 @pytest.mark.parametrize(
@@ -385,9 +391,9 @@ def test_vectors_and_matrices_of_matlab_are_columns(tmp_path: Path, heated: type
     path = tmp_path / "run.mat"
     t = np.arange(5.0)
     scipy.io.savemat(path, {"t": t, "X": np.column_stack([t + 20, t * 10]), "note": "x"})
-    found = map_samples(read_table(path), parse_map(["time=t", "output=X[1]", "input=X[2]"]), heated)
-    assert [s.output for s in found.samples] == [20, 21, 22, 23, 24]
-    assert [s.input for s in found.samples] == [0, 10, 20, 30, 40]
+    run = map_samples(read_table(path), parse_map(["time=t", "output=X[1]", "input=X[2]"]), heated)
+    assert [s.output for s in run.samples] == [20, 21, 22, 23, 24]
+    assert [s.input for s in run.samples] == [0, 10, 20, 30, 40]
 
 
 @pytest.mark.parametrize(
@@ -414,20 +420,20 @@ def test_vectors_and_matrices_of_matlab_are_columns(tmp_path: Path, heated: type
     ],
 )  # fmt: skip
 def test_a_map_is_proposed(tmp_path: Path, text: str, guess: dict[str, str]) -> None:
-    found = proposed(columns_of(read_table(written(tmp_path, text))))
-    assert {signal: source.text for signal, source in found.items()} == guess
+    proposal = proposed(columns_of(read_table(written(tmp_path, text))))
+    assert {signal: source.text for signal, source in proposal.items()} == guess
 
 
 def test_a_table_without_times_needs_only_the_distance_of_its_rows(
     tmp_path: Path, heated: type[Plant]
 ) -> None:
     table = read_table(written(tmp_path, "heat,T,Ts\n10,20,4\n20,21,\n20,22,\n"))
-    given = parse_map(["output=T", "input=heat"])
-    found = map_samples(table, replace(given, period=4.0), heated)
-    assert found.period == 4.0
-    assert [s.output for s in found.samples] == [20, 21, 22]
+    signal_map = parse_map(["output=T", "input=heat"])
+    run = map_samples(table, replace(signal_map, period=4.0), heated)
+    assert run.period == 4.0
+    assert [s.output for s in run.samples] == [20, 21, 22]
     with pytest.raises(RecordingError, match=r"mapped to time; .*give --period SECONDS instead"):
-        map_samples(table, given, heated)
+        map_samples(table, signal_map, heated)
 
 
 def test_units_of_time_are_recognised_by_size_also_beside_infinite_times(tmp_path: Path) -> None:
@@ -449,27 +455,27 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
     assert refused.returncode == 2
     assert "the plant is missing; give --plant" in refused.stderr
     assert not (tmp_path / "session").exists()
-    done = run_twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
-    assert done.returncode == 0, done.stderr
-    assert "4 samples, one every 1 s" in done.stdout
+    imported = run_twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    assert imported.returncode == 0, imported.stderr
+    assert "4 samples, one every 1 s" in imported.stdout
     session = read_session(tmp_path / "session")
     assert session.plant == "block_command"
     assert session.samples[1].disturbances == (19.5,)
     assert session.counts == {"/plant/sample": 4, "/plant/temperature": 4}  # nobody recorded a set-point
-    again = run_twinmatch("replay", tmp_path / "session")  # which does not know the plant
-    assert again.returncode == 2
-    assert "plant 'block_command': not known" in again.stderr
-    assert "--plant block_command.py" in again.stderr
-    assert len(again.stderr.strip().splitlines()) == 1
+    replayed = run_twinmatch("replay", tmp_path / "session")  # which does not know the plant
+    assert replayed.returncode == 2
+    assert "plant 'block_command': not known" in replayed.stderr
+    assert "--plant block_command.py" in replayed.stderr
+    assert len(replayed.stderr.strip().splitlines()) == 1
 
 
 def test_a_session_has_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -> None:
     plant = plant_file(tmp_path, "block_in_kelvin", ('Output(unit="°C"', 'Output(unit="K"'))
     entries = [*MAP, "reference=T1"]
-    done = run_twinmatch(
+    process = run_twinmatch(
         "import", written(tmp_path, CSV), "--plant", plant, "--map", *entries, "-o", tmp_path / "session"
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     assert read_session(tmp_path / "session").counts == {"/plant/sample": 4, "/plant/reference": 4}
 
 
@@ -524,18 +530,18 @@ def test_a_table_holds_the_same_numbers_however_many_rows_are_read_at_once(
     """Each odd cell stands between plain rows, behind the lines that tell how the table is written."""
     plain = [f"{k}{divider}{k / 7!r}{divider}{divider}" for k in range(60)]
     odd = [f"{k}{divider}{cell}{divider}3{divider}" for k, cell in enumerate(ODD_CELLS)]
-    mixed = [row for k, one in enumerate(odd) for row in (one, *plain[k : k + 5], "", "# a remark")]
+    mixed = [row for k, odd_row in enumerate(odd) for row in (odd_row, *plain[k : k + 5], "", "# a remark")]
     path = written(tmp_path, "\n".join((divider.join(("t", "T", "u", "v")), *plain, *mixed)) + "\n")
     monkeypatch.setattr(tables, "_BLOCK", blocks)
     if divider == ",":
         path.write_text(path.read_text("utf-8").replace("1,5,", '"1,5",').replace("9,,,3", "9,3"), "utf-8")
-    found = read_table(path)
+    table = read_table(path)
     monkeypatch.setattr(tables._Cells, "plain", lambda *_: False)  # cell by cell
     wanted = read_table(path)
-    assert list(found.lines) == list(wanted.lines)
-    assert found.texts == wanted.texts
+    assert list(table.lines) == list(wanted.lines)
+    assert table.texts == wanted.texts
     for title, column in wanted.columns.items():
-        assert found.columns[title].tobytes() == column.tobytes()
+        assert table.columns[title].tobytes() == column.tobytes()
 
 
 @pytest.mark.parametrize(

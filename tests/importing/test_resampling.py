@@ -21,33 +21,33 @@ def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
     y = rng.normal(size=50)
     u = rng.normal(size=50)
     time = 1608572942.72 + 3.0 * np.arange(50) + rng.uniform(-1e-4, 1e-4, 50)
-    found = resample(time, {"y": y, "u": u}, {"y": "reading", "u": "held"})
-    assert found.period == 3.0
-    assert not found.moved
-    assert np.array_equal(found.columns["y"], y)
-    assert np.array_equal(found.columns["u"], u)
-    assert found.sentence == "50 rows, one every 3 s"
+    resampled = resample(time, {"y": y, "u": u}, {"y": "reading", "u": "held"})
+    assert resampled.period == 3.0
+    assert not resampled.moved
+    assert np.array_equal(resampled.columns["y"], y)
+    assert np.array_equal(resampled.columns["u"], u)
+    assert resampled.sentence == "50 rows, one every 3 s"
 
 
 def test_each_kind_by_hand():
     """Rows at 0, 1.2, 1.8, 3 s; ticks at 0, 1, 2, 3 s."""
     columns = {"y": [0.0, 12.0, 18.0, 30.0], "u": [1.0, 0.0, 1.0, 5.0], "r": [7.0, 8.0, 9.0, 10.0]}
     kinds = {"y": "reading", "u": "held", "r": "set"}
-    found = resample([0.0, 1.2, 1.8, 3.0], columns, kinds, period=1.0)
-    assert found.time == pytest.approx([0.0, 1.0, 2.0, 3.0])
-    assert found.columns["y"] == pytest.approx([0.0, 10.0, 20.0, 30.0])
-    assert found.columns["u"] == pytest.approx([1.0, 0.2 + 0.2, 1.0, 5.0])  # 1 until 1.2 s, 0 until 1.8 s
-    assert found.columns["r"].tolist() == [7.0, 8.0, 9.0, 10.0]
-    assert found.jitter == pytest.approx(0.2 / np.sqrt(2))
+    resampled = resample([0.0, 1.2, 1.8, 3.0], columns, kinds, period=1.0)
+    assert resampled.time == pytest.approx([0.0, 1.0, 2.0, 3.0])
+    assert resampled.columns["y"] == pytest.approx([0.0, 10.0, 20.0, 30.0])
+    assert resampled.columns["u"] == pytest.approx([1.0, 0.2 + 0.2, 1.0, 5.0])  # 1 until 1.2 s, 0 until 1.8 s
+    assert resampled.columns["r"].tolist() == [7.0, 8.0, 9.0, 10.0]
+    assert resampled.jitter == pytest.approx(0.2 / np.sqrt(2))
 
 
 def test_the_period_is_the_mean_of_steps_that_lost_no_row():
     time = np.delete(np.cumsum(np.tile([2.96, 3.04], 40)), [11, 30])
-    found = resample(time, {"y": time}, {"y": "reading"})
-    assert found.period == 3.0
-    assert len(found.bridged) == 2
-    assert found.columns["y"] == pytest.approx(found.time)
-    assert "rows are missing at 2 places" in found.sentence
+    resampled = resample(time, {"y": time}, {"y": "reading"})
+    assert resampled.period == 3.0
+    assert len(resampled.bridged) == 2
+    assert resampled.columns["y"] == pytest.approx(resampled.time)
+    assert "rows are missing at 2 places" in resampled.sentence
 
 
 def test_a_slow_clock_is_kept_and_a_shaky_one_rounded():
@@ -65,21 +65,21 @@ def test_a_held_input_gives_the_plant_as_much_as_the_rows_did(steps, values):
     """Until the last tick the integral over the ticks is that over the rows."""
     time = np.concatenate([[0.0], np.cumsum(steps)])
     u = np.array(values[: time.size])
-    found = resample(time, {"u": u}, {"u": "held"}, period=3.0)
-    end = found.time[-1]
+    resampled = resample(time, {"u": u}, {"u": "held"}, period=3.0)
+    end = resampled.time[-1]
     lasting = np.clip(np.append(time[1:], max(time[-1], end) + 3.0), None, end) - np.clip(time, None, end)
-    assert 3.0 * found.columns["u"][:-1].sum() == pytest.approx(float(u @ lasting), abs=1e-6)
-    assert u.min() <= found.columns["u"].min() <= found.columns["u"].max() <= u.max()
+    assert 3.0 * resampled.columns["u"][:-1].sum() == pytest.approx(float(u @ lasting), abs=1e-6)
+    assert u.min() <= resampled.columns["u"].min() <= resampled.columns["u"].max() <= u.max()
 
 
 @given(steps=st.lists(st.floats(0.5, 1.4), min_size=3, max_size=60), slope=st.floats(-5, 5))
 def test_a_straight_reading_stays_straight_within_the_rows(steps, slope):
     time = 100.0 + np.concatenate([[0.0], np.cumsum(steps)])
-    found = resample(time, {"y": slope * time}, {"y": "reading"}, period=1.0)
-    inside = found.time <= time[-1]
-    assert found.columns["y"][inside] == pytest.approx(slope * found.time[inside], abs=1e-9)
-    assert np.diff(found.time) == pytest.approx(1.0)
-    assert found.time[-1] <= time[-1] + 1e-3
+    resampled = resample(time, {"y": slope * time}, {"y": "reading"}, period=1.0)
+    inside = resampled.time <= time[-1]
+    assert resampled.columns["y"][inside] == pytest.approx(slope * resampled.time[inside], abs=1e-9)
+    assert np.diff(resampled.time) == pytest.approx(1.0)
+    assert resampled.time[-1] <= time[-1] + 1e-3
 
 
 @pytest.mark.parametrize(
@@ -102,9 +102,9 @@ def test_what_cannot_be_put_on_a_clock_is_refused_in_words(time, y, kinds, perio
 
 
 def test_a_gap_that_its_owner_allows_is_bridged():
-    found = resample([0, 3, 6, 18, 21], {"y": [0, 3, 6, 18, 21]}, {"y": "reading"}, longest=12.0)
-    assert found.columns["y"] == pytest.approx(np.arange(0, 22, 3))
-    assert found.bridged == (2,)
+    resampled = resample([0, 3, 6, 18, 21], {"y": [0, 3, 6, 18, 21]}, {"y": "reading"}, longest=12.0)
+    assert resampled.columns["y"] == pytest.approx(np.arange(0, 22, 3))
+    assert resampled.bridged == (2,)
 
 
 def test_columns_of_other_lengths_are_refused():
@@ -116,15 +116,15 @@ def test_a_gap_splits_where_that_is_asked_for():
     """By hand: the second stretch begins 12.5 s after the last tick of the first, four periods and a bit."""
     time = [0.0, 3.0, 6.0, 18.5, 21.5, 24.5]
     columns = {"y": [1.0, 2, 3, 4, 5, 6], "u": [1.0, 2, 3, 4, 5, 6], "r": [1.0, 2, 3, 4, 5, 6]}
-    found = resample(time, columns, {"y": "reading", "u": "held", "r": "set"}, gaps="split")
-    assert found.time.tolist() == time
-    assert found.index.tolist() == [0, 1, 2, 6, 7, 8]
-    assert found.stretches == [slice(0, 3), slice(3, 6)]
-    assert found.gaps == (12.5,)
-    assert found.bridged == ()
-    assert found.steps == (3.0, 3.0, 3.0)
-    assert all(found.columns[name].tolist() == column for name, column in columns.items())
-    assert found.sentence == "6 rows, one every 3 s; split into 2 stretches by gaps of 12.5 s"
+    resampled = resample(time, columns, {"y": "reading", "u": "held", "r": "set"}, gaps="split")
+    assert resampled.time.tolist() == time
+    assert resampled.index.tolist() == [0, 1, 2, 6, 7, 8]
+    assert resampled.stretches == [slice(0, 3), slice(3, 6)]
+    assert resampled.gaps == (12.5,)
+    assert resampled.bridged == ()
+    assert resampled.steps == (3.0, 3.0, 3.0)
+    assert all(resampled.columns[name].tolist() == column for name, column in columns.items())
+    assert resampled.sentence == "6 rows, one every 3 s; split into 2 stretches by gaps of 12.5 s"
 
 
 @given(
@@ -143,18 +143,18 @@ def test_each_stretch_is_what_it_is_alone(parts, gap, seed):
     rng = np.random.default_rng(seed)
     columns = {name: rng.normal(size=time.size) for name in ("y", "u", "r")}
     kinds = {"y": "reading", "u": "held", "r": "set"}
-    found = resample(time, columns, kinds, period=1.0, gaps="split")
-    assert len(found.stretches) == len(parts)
+    resampled = resample(time, columns, kinds, period=1.0, gaps="split")
+    assert len(resampled.stretches) == len(parts)
     first = 0
-    for rows, stretch in zip(pieces, found.stretches, strict=True):
+    for rows, stretch in zip(pieces, resampled.stretches, strict=True):
         mine = {name: column[first : first + rows.size] for name, column in columns.items()}
         alone = resample(rows, mine, kinds, period=1.0)
-        assert np.array_equal(found.time[stretch], alone.time)
-        assert all(np.array_equal(found.columns[name][stretch], alone.columns[name]) for name in columns)
+        assert np.array_equal(resampled.time[stretch], alone.time)
+        assert all(np.array_equal(resampled.columns[name][stretch], alone.columns[name]) for name in columns)
         first += rows.size
-    skipped = np.diff(found.index)
+    skipped = np.diff(resampled.index)
     assert set(skipped[skipped != 1] >= 2) == {True}
-    away = found.time - found.time[0] - found.index
+    away = resampled.time - resampled.time[0] - resampled.index
     jumps = np.abs(np.diff(away))[
         skipped > 2
     ]  # where a gap is longer than two periods, the number is the time
@@ -163,11 +163,11 @@ def test_each_stretch_is_what_it_is_alone(parts, gap, seed):
 
 def test_without_a_gap_splitting_changes_nothing():
     time = np.cumsum(np.tile([2.96, 3.04], 40))
-    one, other = (resample(time, {"y": time}, {"y": "reading"}, gaps=g) for g in ("refuse", "split"))
-    assert np.array_equal(one.time, other.time)
-    assert np.array_equal(one.columns["y"], other.columns["y"])
-    assert other.index.tolist() == list(range(other.time.size))
-    assert one.sentence == other.sentence
+    refusing, splitting = (resample(time, {"y": time}, {"y": "reading"}, gaps=g) for g in ("refuse", "split"))
+    assert np.array_equal(refusing.time, splitting.time)
+    assert np.array_equal(refusing.columns["y"], splitting.columns["y"])
+    assert splitting.index.tolist() == list(range(splitting.time.size))
+    assert refusing.sentence == splitting.sentence
 
 
 # Dates with the year last: which number is the day.
@@ -222,6 +222,6 @@ def test_a_cell_with_other_text_is_named(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"line 4: 'when' is 'late', .* such as 22/01/2021"):
         read_times(read_table(path), "when")
     path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\n")
-    found = read_times(read_table(path), "when")
-    assert found.seconds.tolist() == [0.0, 30.0]
-    assert found.order == DAY_FIRST
+    times = read_times(read_table(path), "when")
+    assert times.seconds.tolist() == [0.0, 30.0]
+    assert times.order == DAY_FIRST

@@ -35,24 +35,24 @@ def lessons(conductances: list[float], deviation: float = 0.01, days: float = 1.
 
 
 def test_what_has_changed_on_simulated_rigs_is_named_and_nothing_else():
-    told: dict[str, list[tuple[LivedRig, Told]]] = {}
+    outcomes: dict[str, list[tuple[LivedRig, Told]]] = {}
     looks = false = 0
     for kind in KINDS:
         for seed in range(10):
-            found = told_of(lived_rig(seed, kind))
-            told.setdefault(kind, []).append((lived_rig(seed, kind), found))
-            looks = looks + found.looks
-            false = false + found.false
+            rig_outcome = told_of(lived_rig(seed, kind))
+            outcomes.setdefault(kind, []).append((lived_rig(seed, kind), rig_outcome))
+            looks = looks + rig_outcome.looks
+            false = false + rig_outcome.false
     assert false <= 0.02 * looks
-    steps = [(rig, one) for rig, one in told["step"] if one.first is not None]
-    assert sum(one.first - rig.since <= 2 for rig, one in steps) >= 8
-    assert all(one.kind == "step" for _, one in steps)
-    sizes = [abs(one.size) for _, one in steps]
+    steps = [(rig, outcome) for rig, outcome in outcomes["step"] if outcome.first is not None]
+    assert sum(outcome.first - rig.since <= 2 for rig, outcome in steps) >= 8
+    assert all(outcome.kind == "step" for _, outcome in steps)
+    sizes = [abs(outcome.size) for _, outcome in steps]
     assert np.median(sizes) == pytest.approx(0.10, abs=0.015)
-    drifts = [one for _, one in told["drift"] if one.first is not None]
+    drifts = [outcome for _, outcome in outcomes["drift"] if outcome.first is not None]
     assert len(drifts) >= 9
-    assert np.median([one.first for one in drifts]) <= 6
-    assert sum(one.kind == "trend" for one in drifts) >= 7
+    assert np.median([outcome.first for outcome in drifts]) <= 6
+    assert sum(outcome.kind == "trend" for outcome in drifts) >= 7
 
 
 def test_a_step_is_said_with_its_session_size_and_values():
@@ -102,7 +102,7 @@ def test_two_steps_are_two():
 
 def test_what_only_a_ratio_shows_is_named_as_the_ratio():
     rng = np.random.default_rng(3)
-    held = []
+    lessons = []
     for n in range(8):
         valley = math.exp(rng.normal(0.0, 0.3))  # α and C together: an hour does not tell them apart
         values = {"seebeck": 0.06 * valley * (1.0 if n < 4 else 1.06), "heat_capacity": 30.0 * valley}
@@ -110,11 +110,11 @@ def test_what_only_a_ratio_shows_is_named_as_the_ratio():
         scale = np.array([values["seebeck"], 0.75, values["heat_capacity"]])
         covariance = relative * np.outer(scale, scale)
         parameters = {**HELD.parameters(), **values, "conductance": 0.75 + rng.normal(0.0, 0.005)}
-        held.append(
+        lessons.append(
             lesson(n, HELD.structure_name, free=HELD.structure.free, parameters=parameters,
                    covariance=tuple(map(tuple, covariance.tolist())))
         )  # fmt: skip
-    (change,) = report_on(held, HELD).changes
+    (change,) = report_on(lessons, HELD).changes
     assert change.name == "seebeck / heat_capacity"
     assert change.since == "run_4"
     assert change.size == pytest.approx(0.06, abs=0.01)

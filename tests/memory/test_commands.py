@@ -37,24 +37,24 @@ def write_table(path, seed):
 def test_a_session_is_remembered_once_shown_and_forgotten(folder, capsys):
     write_table(folder / "monday.csv", 1)
     assert main(["remember", str(folder / "monday.csv"), "--rig", "left"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("monday: ")
-    assert said.strip().endswith("peltier@left.sqlite")
-    held = Memory(default_file("peltier", "left")).lessons()
-    learned = next(lesson for lesson in held if lesson.structure == "held sink")
-    off = (learned.values[:2] - [0.06, 0.6]) / learned.deviations[:2]
-    assert np.all(np.abs(off) < 4.0)
+    printed = capsys.readouterr().out
+    assert printed.startswith("monday: ")
+    assert printed.strip().endswith("peltier@left.sqlite")
+    lessons = Memory(default_file("peltier", "left")).lessons()
+    learned = next(lesson for lesson in lessons if lesson.structure == "held sink")
+    errors = (learned.values[:2] - [0.06, 0.6]) / learned.deviations[:2]
+    assert np.all(np.abs(errors) < 4.0)
     assert main(["remember", str(folder / "monday.csv"), "--rig", "left"]) == 0
     assert capsys.readouterr().out == "monday: remembered already\n"
     assert main(["memory", "--json", str(folder / "out.json")]) == 0
     assert "What changes shows from 4 sessions on" in capsys.readouterr().out
     (document,) = json.loads((folder / "out.json").read_text())
     assert document["rig"] == "left"
-    assert [one["name"] for one in document["lessons"]] == ["monday"] * len(held)
+    assert [entry["name"] for entry in document["lessons"]] == ["monday"] * len(lessons)
     assert main(["forget", str(folder / "monday.csv"), "sunday"]) == 3
-    told = capsys.readouterr()
-    assert told.out == "monday: forgotten\n"
-    assert told.err == "twinmatch: sunday: is not remembered\n"
+    forgetting = capsys.readouterr()
+    assert forgetting.out == "monday: forgotten\n"
+    assert forgetting.err == "twinmatch: sunday: is not remembered\n"
     assert main(["forget", "monday"]) == 2
 
 
@@ -65,11 +65,11 @@ def test_what_has_changed_is_said_and_drawn(folder, capsys):
     Memory(file).add([replace(lesson, equations=equations) for lesson in lived.lessons])
     Memory(file).add([replace(lived.lessons[0], session="old", name="old", equations="others")])
     assert main(["memory", "--memory", str(file), "--figure", str(folder / "memory.svg")]) == 0
-    said = capsys.readouterr().out
-    assert f"Since run_{lived.since} the " in said
-    assert "before and after it was steady" in said
-    assert "Not compared: 1 session remembered with other equations" in said
-    assert "run_11" in said
+    printed = capsys.readouterr().out
+    assert f"Since run_{lived.since} the " in printed
+    assert "before and after it was steady" in printed
+    assert "Not compared: 1 session remembered with other equations" in printed
+    assert "run_11" in printed
     drawn = (folder / "memory.svg").read_text()
     assert drawn.startswith("<?xml")
 
@@ -80,9 +80,9 @@ def test_errors_are_one_sentence(folder, capsys):
     (folder / "rig.sqlite").write_text("not a memory" * 100)
     for command in (["memory"], ["forget", "monday"]):
         assert main([*command, "--memory", str(folder / "rig.sqlite")]) == 2
-        said = capsys.readouterr().err
-        assert said.endswith("is not a memory of twinmatch; give another file, or move it away\n")
-        assert said.count("\n") == 1
+        printed = capsys.readouterr().err
+        assert printed.endswith("is not a memory of twinmatch; give another file, or move it away\n")
+        assert printed.count("\n") == 1
     write_table(folder / "monday.csv", 1)
     assert main(["remember", str(folder / "monday.csv"), "--memory", str(folder / "rig.sqlite")]) == 2
     assert "is not a memory of twinmatch" in capsys.readouterr().err
@@ -97,8 +97,8 @@ def test_a_report_says_what_earlier_sessions_say(folder, capsys):
     file = default_file("peltier", "left")
     equations = Peltier.model(lived.lessons[0].structure).equations
     Memory(file).add([replace(lesson, equations=equations, rig="left") for lesson in lived.lessons])
-    said = memory_words(Peltier, None, "left")
-    assert said[0].startswith(f"Since run_{lived.since} the ")
+    words = memory_words(Peltier, None, "left")
+    assert words[0].startswith(f"Since run_{lived.since} the ")
     assert memory_words(Peltier, None, "") == []
     assert memory_words(Peltier, None, "right") == []
     (folder / "broken").write_text("not a memory" * 100)
@@ -107,8 +107,8 @@ def test_a_report_says_what_earlier_sessions_say(folder, capsys):
     write_table(folder / "monday.csv", 1)
     out = folder / "report.html"
     assert main(["report", str(folder / "monday.csv"), "--rig", "left", "--peers", "-o", str(out)]) == 0
-    assert said[0] in capsys.readouterr().out
-    assert escape(said[0]) in out.read_text()
+    assert words[0] in capsys.readouterr().out
+    assert escape(words[0]) in out.read_text()
 
 
 def test_a_recording_without_a_date_has_none():

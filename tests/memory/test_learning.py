@@ -50,8 +50,14 @@ def judged(
 def verdict(sample: int, fault: str = "", since: int | None = None, **changed: object) -> Verdict:
     """A verdict of which only a few fields matter."""
     bare = Verdict.__new__(Verdict)
-    held = {"sample": sample, "level": TrustLevel.TRUSTED, "structure": RICH, "leader": None, "forecasts": ()}
-    for name, value in (held | {"fault": fault, "fault_since": since} | changed).items():
+    usual = {
+        "sample": sample,
+        "level": TrustLevel.TRUSTED,
+        "structure": RICH,
+        "leader": None,
+        "forecasts": (),
+    }
+    for name, value in (usual | {"fault": fault, "fault_since": since} | changed).items():
         object.__setattr__(bare, name, value)
     return bare
 
@@ -77,8 +83,8 @@ def test_covariances_say_how_far_the_parameters_are_off():
     errors = []
     for seed in range(16):
         learned = of_structure(of_hour(seed))
-        off = learned.values - np.array([TRUE[name] for name in learned.free])
-        errors.append(off @ np.linalg.solve(np.array(learned.covariance), off) / off.size)
+        error = learned.values - np.array([TRUE[name] for name in learned.free])
+        errors.append(error @ np.linalg.solve(np.array(learned.covariance), error) / error.size)
     # χ² / n has the mean 1 over 16 · 6 numbers, ± 0.15; a covariance from 24 blocks is less exact.
     assert 0.5 <= np.mean(errors) <= 2.0
 
@@ -109,7 +115,8 @@ def test_nothing_is_learned_from_a_fault_on():
     spoilt = replace(window, outputs=np.where(np.arange(3600) < 2000, window.output, 20.0))
     faulty = judged(spoilt, verdict(1900), verdict(2100, "drive-lost", 2000), verdict(3000))
     learned, healthy = (
-        of_structure(lessons_of(one)) for one in (faulty, judged(window.part(0, 1999), verdict(1900)))
+        of_structure(lessons_of(judgement))
+        for judgement in (faulty, judged(window.part(0, 1999), verdict(1900)))
     )
     assert learned.fault_at == 2000
     assert replace(learned, session="", fault_at=None) == replace(healthy, session="")
@@ -118,10 +125,10 @@ def test_nothing_is_learned_from_a_fault_on():
 
 def test_lost_samples_count_nowhere():
     window = hour(4)
-    seen = np.ones(3600, dtype=bool)
-    seen[1000:1010] = seen[2500:2504] = False
-    outputs = np.where(seen, window.output, 500.0)
-    with_gaps = replace(window, outputs=outputs, seen=seen)
+    is_seen = np.ones(3600, dtype=bool)
+    is_seen[1000:1010] = is_seen[2500:2504] = False
+    outputs = np.where(is_seen, window.output, 500.0)
+    with_gaps = replace(window, outputs=outputs, seen=is_seen)
     learned = of_structure(lessons_of(judged(with_gaps)))
     whole = of_structure(of_hour(4))
     assert learned.samples == 3586
@@ -141,9 +148,9 @@ def test_a_session_at_rest_does_not_pretend_to_know():
     """Parameters that end on a bound make no lesson."""
     still = run(rig(RICH, **TRUE), np.full(900, 50.0), start=50.0, seed=6)
     for learned in lessons_of(judged(still)):
-        known = Peltier.model(learned.structure).declared
+        declared = Peltier.model(learned.structure).declared
         for name, value in zip(learned.free, learned.values, strict=True):
-            low, high = known[name].bounds
+            low, high = declared[name].bounds
             assert low < value < high
 
 
@@ -193,8 +200,8 @@ def test_the_change_of_the_real_rig_is_named_between_recordings_9_and_14():
     assert [report_on(lessons[:count], model).changes for count in (4, 5)] == [[], []]
     for count in (6, 7):
         (change,) = report_on(lessons[:count], model).changes
-        found = change.name, change.kind, change.after, change.since
-        assert found == ("conductance", "step", "9", "14")
+        named = change.name, change.kind, change.after, change.since
+        assert named == ("conductance", "step", "9", "14")
         apart = np.mean(after[: count - 4]) / np.mean(before) - 1.0
         assert change.size == pytest.approx(apart, abs=0.03)
     assert report_on(lessons, model).restless == ["temperature of the room"]

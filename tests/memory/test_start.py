@@ -55,9 +55,9 @@ def test_first_comes_the_centre_of_the_structure_that_led_then_twins_then_other_
 
 
 def test_a_session_far_off_pulls_neither_centre_nor_spread() -> None:
-    alike = [taught(k, conductance=1.0 + 0.01 * (k % 3 - 1)) for k in range(1, 10)]
-    odd = [*alike[:-1], taught(9, conductance=0.4)]
-    usual, *_ = start_from(alike, Peltier)
+    steady = [taught(k, conductance=1.0 + 0.01 * (k % 3 - 1)) for k in range(1, 10)]
+    odd = [*steady[:-1], taught(9, conductance=0.4)]
+    usual, *_ = start_from(steady, Peltier)
     pulled, *_ = start_from(odd, Peltier)
     assert abs(pulled.parameters["conductance"] / usual.parameters["conductance"] - 1.0) <= 0.01
     place = FREE.index("conductance")
@@ -85,8 +85,8 @@ def test_only_the_newest_sessions_count_and_equal_names_are_told_apart() -> None
     old = [taught(k, conductance=0.5) for k in range(1, 50)]
     new = [taught(k) for k in range(100, 100 + MAX_SESSIONS)]
     assert start_from(old + new, Peltier)[0].parameters["conductance"] == RIG["conductance"]
-    parts = [{name: getattr(each, name) for name in Lesson.__dataclass_fields__} for each in new[:2]]
-    twins = start_from([Lesson(**(each | {"name": "today"})) for each in parts], Peltier)
+    parts = [{name: getattr(lesson, name) for name in Lesson.__dataclass_fields__} for lesson in new[:2]]
+    twins = start_from([Lesson(**(fields | {"name": "today"})) for fields in parts], Peltier)
     assert [c.name for c in twins] == [CENTRE, "session today", "session today (2)"]
 
 
@@ -97,10 +97,10 @@ def test_the_spread_is_that_of_the_sessions_and_never_less_than_few_of_them_can_
     centre = np.array([RIG[name] for name in FREE])
     drawn = centre * (1.0 + deviation * np.random.default_rng(seed).standard_normal((sessions, len(FREE))))
     spread = spread_of(drawn, np.median(drawn, axis=0), RICH)
-    alike = spread_of(np.tile(centre, (sessions, 1)), centre, RICH)
+    spread_if_alike = spread_of(np.tile(centre, (sessions, 1)), centre, RICH)
     assert (spread > 0.0).all()
     sizes = [0.15 * (RIG[n] if RICH.declared[n].relative else RICH.declared[n].scale) for n in FREE]
-    np.testing.assert_allclose(alike, np.array(sizes) / np.sqrt(sessions), rtol=1e-12)
+    np.testing.assert_allclose(spread_if_alike, np.array(sizes) / np.sqrt(sessions), rtol=1e-12)
     away = np.abs(drawn - np.median(drawn, axis=0)).max(axis=0)
     assert (
         spread <= np.sqrt(np.square(away) + np.square(0.15 * np.abs(np.median(drawn, axis=0)) + 1.5)) + 1e-12

@@ -48,7 +48,7 @@ def writer(path: Path, first: int, sessions: int) -> subprocess.Popen[str]:
 
 def of_sessions(path: Path) -> Counter[str]:
     """How many lessons there are of each session."""
-    return Counter(held.session for held in Memory(path).lessons())
+    return Counter(stored.session for stored in Memory(path).lessons())
 
 
 def test_lessons_come_back_as_they_were_oldest_first(tmp_path):
@@ -58,19 +58,19 @@ def test_lessons_come_back_as_they_were_oldest_first(tmp_path):
     unknown = lesson(3, persistence_skill=(math.nan, 0.5), fault_at=2155)
     assert memory.add([unknown, lesson(1)]) == 2
     assert memory.add([lesson(2)]) == 1
-    one, two, three = memory.lessons("peltier", "", {"e1"})
-    assert (one, two) == (lesson(1), lesson(2))
-    assert math.isnan(three.persistence_skill[0])
-    assert three.fault_at == 2155
-    assert three.deviations == pytest.approx([1e-3, 1e-2])
+    first, second, third = memory.lessons("peltier", "", {"e1"})
+    assert (first, second) == (lesson(1), lesson(2))
+    assert math.isnan(third.persistence_skill[0])
+    assert third.fault_at == 2155
+    assert third.deviations == pytest.approx([1e-3, 1e-2])
 
 
 def test_a_session_counts_once(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(1), lesson(1, "rich")])
-    again = lesson(1, name="a copy", duration=1.0)
-    assert memory.add([again, lesson(2)]) == 1
-    assert [held.name for held in memory.lessons()] == ["run_1", "run_1", "run_2"]
+    renamed_copy = lesson(1, name="a copy", duration=1.0)
+    assert memory.add([renamed_copy, lesson(2)]) == 1
+    assert [stored.name for stored in memory.lessons()] == ["run_1", "run_1", "run_2"]
     changed = lesson(1, equations="e2")  # the plant's file was changed: a lesson of its own
     assert memory.add([changed]) == 1
     assert memory.lessons("peltier", "", {"e2"}) == [changed]
@@ -79,7 +79,7 @@ def test_a_session_counts_once(tmp_path):
 def test_plants_and_rigs_are_kept_apart(tmp_path):
     memory = Memory(tmp_path / "all.sqlite")
     memory.add([lesson(1), lesson(1, rig="left"), lesson(2, rig="left"), lesson(1, plant="tclab")])
-    assert [held.name for held in memory.lessons("peltier", "left")] == ["run_1", "run_2"]
+    assert [stored.name for stored in memory.lessons("peltier", "left")] == ["run_1", "run_2"]
     assert memory.lessons("peltier", "") == [lesson(1)]
     assert len(memory.lessons()) == 4
 
@@ -88,7 +88,7 @@ def test_forgotten_sessions_are_gone_by_name_or_digest(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n, structure) for n in (1, 2, 3) for structure in ("paper", "rich")])
     assert memory.forget(["run_1", "digest-3", "run_9"]) == ["run_1", "run_3"]
-    assert [(held.name, held.structure) for held in memory.lessons()] == [
+    assert [(stored.name, stored.structure) for stored in memory.lessons()] == [
         ("run_2", "paper"),
         ("run_2", "rich"),
     ]
@@ -106,13 +106,13 @@ def test_comparisons_come_back_as_they_were_one_a_session_and_are_forgotten(tmp_
     memory = Memory(tmp_path / "rig.sqlite")
     assert memory.comparisons("peltier") == []
     diverged = comparison(2, high=math.inf, median=math.nan, rig="left")
-    assert [memory.add_comparison(one) for one in (comparison(1), diverged)] == [True, True]
+    assert [memory.add_comparison(new) for new in (comparison(1), diverged)] == [True, True]
     assert not memory.add_comparison(comparison(1, measured=9.0))
     assert memory.comparisons("peltier", "") == [comparison(1)]
-    one, other = memory.comparisons("peltier")
-    assert one == comparison(1)
-    assert other.high == math.inf
-    assert math.isnan(other.median)
+    first, second = memory.comparisons("peltier")
+    assert first == comparison(1)
+    assert second.high == math.inf
+    assert math.isnan(second.median)
     memory.add([lesson(1)])
     assert memory.forget(["run_1"]) == ["run_1"]
     assert memory.lessons() == memory.comparisons("peltier", "") == []
@@ -140,11 +140,11 @@ def test_a_file_of_the_first_version_is_read_and_gets_its_second_table_when_writ
 )
 def test_any_name_and_any_number_comes_back_bit_for_bit(tmp_path_factory, name, values, began):
     memory = Memory(tmp_path_factory.mktemp("memory") / "rig.sqlite")
-    held = lesson(
+    odd_lesson = lesson(
         1, name=name, began=began, parameters=dict(zip(("seebeck", "conductance"), values, strict=True))
     )
-    memory.add([held])
-    assert memory.lessons() == [held]
+    memory.add([odd_lesson])
+    assert memory.lessons() == [odd_lesson]
     assert memory.forget([name]) == [name]
 
 
@@ -202,11 +202,11 @@ def test_a_locked_file_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("twinmatch.memory.store.WAIT", 0.05)
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(1)])
-    other = sqlite3.connect(memory.path, isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
+    writer = sqlite3.connect(memory.path, isolation_level=None)
+    writer.execute("BEGIN EXCLUSIVE")
     with pytest.raises(MemoryFaultError, match=r"rig\.sqlite: another program is writing it; try again"):
         memory.lessons()
-    other.close()
+    writer.close()
     assert len(memory.lessons()) == 1
 
 
@@ -301,7 +301,7 @@ def test_only_the_newest_lessons_are_read_and_the_command_says_so(tmp_path, monk
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n, began=HOUR) for n in range(20)])
     monkeypatch.setattr("twinmatch.memory.store.MOST", 3)
-    assert [held.name for held in memory.lessons()] == ["run_17", "run_18", "run_19"]
+    assert [stored.name for stored in memory.lessons()] == ["run_17", "run_18", "run_19"]
     assert (memory.unread(), memory.unread("another"), Memory(tmp_path / "none").unread()) == (17, 0, 0)
     monkeypatch.setattr("twinmatch.cli.memory.MOST", 3)
     main(["memory", "--memory", str(memory.path)])

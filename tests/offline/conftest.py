@@ -17,12 +17,12 @@ Members = Callable[..., tuple[TriedTwin, ...]]
 @pytest.fixture(scope="session")
 def members_of() -> Members:
     """The twins of a session, which is judged for the first test or command that asks."""
-    known: dict[tuple[str, str], tuple[TriedTwin, ...]] = {}
+    members_of_session: dict[tuple[str, str], tuple[TriedTwin, ...]] = {}
 
     def members(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
         session = ground.plant.name, digest_of(ground.session.samples)
-        if session not in known:
-            known[session] = members_from(ground, watch=watch)
-        return known[session]
+        if session not in members_of_session:
+            members_of_session[session] = members_from(ground, watch=watch)
+        return members_of_session[session]
 
     return members

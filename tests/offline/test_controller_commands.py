@@ -74,14 +74,14 @@ def test_the_next_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     figure = tmp_path / "course.svg"
     base = ["experiment", str(SHIPPED)]
     assert main([*base, "--minutes", "3", "--json", str(out), "--figure", str(figure)]) == 0
-    first, *rest = capsys.readouterr().out.splitlines()
+    first, *course_lines = capsys.readouterr().out.splitlines()
     assert re.match(r"hold temperature \d+ °C for .* characters for structure are expected", first)
-    assert [line.split(":")[0].strip() for line in rest] == ["proposed", "step", "PRBS", "nothing"]
+    assert [line.split(":")[0].strip() for line in course_lines] == ["proposed", "step", "PRBS", "nothing"]
     document = json.loads(out.read_text("utf-8"))
     course = document["courses"][0]
     assert document["goal"] == "structure"
     assert len(course["levels"][0]) <= 180
-    assert course["characters"] > max(other["characters"] for other in document["courses"][1:])
+    assert course["characters"] > max(rival["characters"] for rival in document["courses"][1:])
     assert figure.read_text("utf-8").count("<svg") == 1
     undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
     assert main([*base, "--minutes", "2", "--for", "controller", *undecided]) == 0
@@ -106,9 +106,9 @@ def test_new_gains_are_tried_at_once_and_can_be_read(
 ) -> None:
     path = tmp_path / "tuned.json"
     assert main(["retune", str(SHIPPED), "--json", str(path)]) == 0
-    first, *rest = capsys.readouterr().out.splitlines()
+    first, *lines = capsys.readouterr().out.splitlines()
     assert first.startswith("the mean squared error after a load is ")
-    assert any(line.strip().startswith("safe for all that the data allow") for line in rest)
+    assert any(line.strip().startswith("safe for all that the data allow") for line in lines)
     law = read_law(path, Peltier, 1.0)
     assert isinstance(law, LinearLaw)
     before = as_linear(law_of(Peltier, 1.0))
@@ -141,10 +141,10 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
         )
         for k, capacity in enumerate((30.0, 32.0, 12.0))
     )
-    found = remembered(ground, path)
-    assert [twin.name for twin in found][:1] == ["remembered"]
-    assert {twin.name for twin in found[1:]} >= {"remembered: session run_2"}
-    assert found[0].covariance is not None
+    remembered_twins = remembered(ground, path)
+    assert [twin.name for twin in remembered_twins][:1] == ["remembered"]
+    assert {twin.name for twin in remembered_twins[1:]} >= {"remembered: session run_2"}
+    assert remembered_twins[0].covariance is not None
     law = law_file(tmp_path, proportional=60)
     command = [
         "try-controller",
@@ -176,30 +176,34 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
     command = [*base, "--came", str(came), "--loop"]
     assert main([*command, str(law), "--memory", str(file), "--json", str(out)]) == 0
     printed = capsys.readouterr().out
-    told = re.search(
+    line = re.search(
         r"  closed_loop_lqg: predicted cost ([\d.]+) °C² .*: inside; .*; stable, as predicted; (.*)\n",
         printed,
     )
-    assert told
-    assert float(told[1]) == pytest.approx(5.16, rel=0.05)  # far within its band, 4.5 to 6.7
-    largest = re.fullmatch(r"largest error 5\.19, predicted ([\d.]+) °C", told[2])
+    assert line
+    assert float(line[1]) == pytest.approx(5.16, rel=0.05)  # far within its band, 4.5 to 6.7
+    largest = re.fullmatch(r"largest error 5\.19, predicted ([\d.]+) °C", line[2])
     assert largest
     assert float(largest[1]) == pytest.approx(5.19, rel=0.05)
-    found = json.loads(out.read_text("utf-8"))["comparison"]
-    assert found["measured"] == pytest.approx(5.16, abs=0.02)
+    comparison = json.loads(out.read_text("utf-8"))["comparison"]
+    assert comparison["measured"] == pytest.approx(5.16, abs=0.02)
     quoted = re.search(
         r"closed_loop_lqg: .* (\d+) % of the readings",
         (PROJECT / "docs" / "controllers.md").read_text("utf-8"),
     )
     assert quoted
-    assert 100 * found["share"] == pytest.approx(float(quoted[1]), abs=2)  # fewer draws than on the page
-    (kept,) = Memory(file).comparisons("tclab-both")
-    assert (kept.measured, kept.inside, kept.name) == (found["measured"], True, "closed_loop_lqg")
+    assert 100 * comparison["share"] == pytest.approx(float(quoted[1]), abs=2)  # fewer draws than on the page
+    (remembered_comparison,) = Memory(file).comparisons("tclab-both")
+    assert (remembered_comparison.measured, remembered_comparison.inside, remembered_comparison.name) == (
+        comparison["measured"],
+        True,
+        "closed_loop_lqg",
+    )
     document = json.loads(law.read_text("utf-8"))
     document["Rs"] = (100.0 * np.array(document["Rs"])).tolist()
-    other = tmp_path / "other.json"
-    other.write_text(json.dumps(document), "utf-8")
-    assert main([*command, str(other)]) == 2
+    other_law = tmp_path / "other.json"
+    other_law.write_text(json.dumps(document), "utf-8")
+    assert main([*command, str(other_law)]) == 2
     assert "another law ran there; give that one" in capsys.readouterr().err
     assert main([*base, "--came", str(tmp_path / "prbs_open_loop"), "--loop", str(law)]) == 2
     assert "is a session that it is predicted from" in capsys.readouterr().err

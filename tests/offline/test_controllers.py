@@ -76,8 +76,10 @@ def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
     for quantity, figure in answer.courses.figures.items():
         assert figure == pytest.approx(answer.running.figures[quantity], rel=1e-6, nan_ok=True)
     rested = [replace(member, states=None) for member in members]
-    rest = try_controller(rested, ControllerQuestion(law, references[:120], references[0], holding, draws=50))
-    still = rest.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
+    at_rest = try_controller(
+        rested, ControllerQuestion(law, references[:120], references[0], holding, draws=50)
+    )
+    still = at_rest.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
     assert still.high < 0.1**2  # in closed loop the noise of the readings moves the plate by less
 
 
@@ -93,8 +95,8 @@ def test_the_cost_of_the_last_part_was_predicted(session: Session) -> None:
     question = ControllerQuestion(law, references, before, early.holding, draws=50)
     answer = try_controller(members_from(early), question)
     came = np.mean([(s.output - s.reference) ** 2 for s in later]) - Peltier.output.noise**2
-    found = answer.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
-    assert 0.99 * found.low <= came <= 1.01 * found.high
+    band = answer.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
+    assert 0.99 * band.low <= came <= 1.01 * band.high
 
 
 def test_a_session_that_ends_in_a_fault_is_refused(tmp_path: Path) -> None:

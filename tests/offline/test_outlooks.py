@@ -103,16 +103,20 @@ def test_of_a_long_session_the_newest_windows_are_enough(
 ) -> None:
     """A session that begins there gives the same bits, and has no note."""
     monkeypatch.setattr(outlooks, "_WINDOWS", 1)
-    at = 790
-    since = at - TERMS.settings.schedule.capacity  # the match on the step at sample 400 is in the first half
-    found = prospects(session, TERMS, [at])[at]
-    cut = prospects(stored(samples[since : at + 1], tmp_path / "cut"), TERMS, [at], whole=True)[at]
-    assert (found.since, cut.since) == (since, None)
-    [note] = set(found.outlook.notes) - set(cut.outlook.notes)
+    asked_at = 790
+    since = (
+        asked_at - TERMS.settings.schedule.capacity
+    )  # the match on the step at sample 400 is in the first half
+    newest = prospects(session, TERMS, [asked_at])[asked_at]
+    cut = prospects(stored(samples[since : asked_at + 1], tmp_path / "cut"), TERMS, [asked_at], whole=True)[
+        asked_at
+    ]
+    assert (newest.since, cut.since) == (since, None)
+    [note] = set(newest.outlook.notes) - set(cut.outlook.notes)
     assert f"from {since} on" in note
-    one, other = (each.outlook.forecast([90.0] * 50) for each in (found, cut))
-    np.testing.assert_array_equal(numbers(one), numbers(other))
-    assert found.leader_confidence == cut.leader_confidence
+    newest_forecast, cut_forecast = (prospect.outlook.forecast([90.0] * 50) for prospect in (newest, cut))
+    np.testing.assert_array_equal(numbers(newest_forecast), numbers(cut_forecast))
+    assert newest.leader_confidence == cut.leader_confidence
 
 
 def test_it_begins_earlier_if_nothing_is_known_there(
@@ -120,19 +124,19 @@ def test_it_begins_earlier_if_nothing_is_known_there(
 ) -> None:
     """The window before this sample begins just behind a step, and the next match is in its second half."""
     monkeypatch.setattr(outlooks, "_WINDOWS", 1)
-    found = prospects(session, TERMS, [LAST])[LAST]
-    assert found.since is None
-    assert_same(found.outlook.forecast([90.0] * 50), known[LAST].outlook.forecast([90.0] * 50))
+    prospect = prospects(session, TERMS, [LAST])[LAST]
+    assert prospect.since is None
+    assert_same(prospect.outlook.forecast([90.0] * 50), known[LAST].outlook.forecast([90.0] * 50))
 
 
 def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:
     outlook = known[MIDDLE].outlook
     ahead = np.full(40, 90.0)
-    here = session.samples[MIDDLE]
-    held = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)))
-    np.testing.assert_array_equal(outlook.forecast(ahead).output.mean, held.means[0])
-    other = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)) + 0.05)
-    assert np.abs(other.means[0] - held.means[0]).max() > 1.0  # the load matters
+    sample = session.samples[MIDDLE]
+    held_forecast = outlook.predicted(ahead, np.tile(sample.disturbances, (41, 1)))
+    np.testing.assert_array_equal(outlook.forecast(ahead).output.mean, held_forecast.means[0])
+    loaded = outlook.predicted(ahead, np.tile(sample.disturbances, (41, 1)) + 0.05)
+    assert np.abs(loaded.means[0] - held_forecast.means[0]).max() > 1.0  # the load matters
 
 
 def test_the_band_covers_the_measurements(session: Session, known: dict[int, Prospect]) -> None:
@@ -140,9 +144,9 @@ def test_the_band_covers_the_measurements(session: Session, known: dict[int, Pro
     reference = [s.reference for s in session.samples[LAST + 1 : LAST + 41]]
     forecast = known[LAST].outlook.forecast(reference)
     came = np.array([s.output for s in session.samples[LAST + 1 : LAST + 41]])
-    held = (forecast.output.low <= came) & (came <= forecast.output.high)
+    is_inside = (forecast.output.low <= came) & (came <= forecast.output.high)
     # Of 40 readings each held with probability 0.9, fewer than 28 come once in 5000 times.
-    assert held.sum() >= 28
+    assert is_inside.sum() >= 28
 
 
 @pytest.mark.parametrize(
@@ -193,9 +197,9 @@ def test_a_session_without_any_candidate_says_so(tmp_path: Path) -> None:
 
 def test_a_fault_is_in_the_notes(tmp_path: Path) -> None:
     session = stored(drive_lost(at=640), tmp_path / "fault")
-    found = prospects(session, Terms(TwinSettings()), [630, 700])
-    assert not [n for n in found[630].outlook.notes if "drive-lost" in n]
-    assert [n for n in found[700].outlook.notes if "has shown drive-lost since sample 6" in n]
+    prospect_at = prospects(session, Terms(TwinSettings()), [630, 700])
+    assert not [n for n in prospect_at[630].outlook.notes if "drive-lost" in n]
+    assert [n for n in prospect_at[700].outlook.notes if "has shown drive-lost since sample 6" in n]
 
 
 # The rehearsal reaches everything that a first run would otherwise compile, and happens once.

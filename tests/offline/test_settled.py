@@ -30,13 +30,13 @@ def same(some: Sequence[Window], others: Sequence[Window]) -> bool:
 
 def test_one_spike_changes_no_fit_and_no_stretch() -> None:
     """It was refused by the twin, and counted in every summary: a fit of 84.6 % where it is 98.5 %."""
-    found = untaught.judged()
-    assert [window.lost for window in found.stretches] == [[SPIKE]]
+    judgement = untaught.judged()
+    assert [window.lost for window in judgement.stretches] == [[SPIKE]]
     without = Window.from_samples(untaught.clean())
-    leader = found.summary.parameters
+    leader = judgement.summary.parameters
     assert leader is not None
     # One of 640 samples is left out of the fit; a spike of 40 °C would take 8 % from it.
-    assert found.summary.fit_y == pytest.approx(window_fit(leader, without, None)[0], abs=1e-3)
+    assert judgement.summary.fit_y == pytest.approx(window_fit(leader, without, None)[0], abs=1e-3)
 
 
 @pytest.mark.parametrize("lost", [(), range(TAUGHT - 1, TAUGHT + 2), (SPIKE - 1, SPIKE + 1), range(300, 330)])
@@ -44,21 +44,21 @@ def test_every_door_settles_as_the_discriminator_did(lost: Sequence[int]) -> Non
     """Also where the sample of the first nominal twin is itself a stand-in."""
     samples = untaught.spiked(lost)
     settings = untaught.settings()
-    found = judge_samples("spiked", samples, settings) if lost else untaught.judged()
-    assert any(SPIKE in window.lost for window in found.stretches)
-    assert same(filled_stretches(samples, settings, found.verdicts), found.stretches)
-    assert set(found.stamps) >= {verdict.sample for verdict in found.verdicts}
+    judgement = judge_samples("spiked", samples, settings) if lost else untaught.judged()
+    assert any(SPIKE in window.lost for window in judgement.stretches)
+    assert same(filled_stretches(samples, settings, judgement.verdicts), judgement.stretches)
+    assert set(judgement.stamps) >= {verdict.sample for verdict in judgement.verdicts}
 
 
 def test_the_page_says_what_the_terminal_says() -> None:
-    found = untaught.judged()
+    judgement = untaught.judged()
     state = DashboardState()
     for sample in untaught.spiked():
         state.push_sample(sample, 0.0)
-    for verdict in found.verdicts:
+    for verdict in judgement.verdicts:
         state.push_verdict(verdict)
     update_sentence(state, untaught.settings())
-    assert state.sentence == sentence(found.summary)
+    assert state.sentence == sentence(judgement.summary)
 
 
 def test_forecasts_are_not_scored_at_a_refused_reading() -> None:
@@ -72,11 +72,11 @@ def test_forecasts_are_not_scored_at_a_refused_reading() -> None:
 
 
 def test_the_twin_beside_the_plant_is_not_compared_with_a_refused_reading() -> None:
-    found = untaught.judged()
+    judgement = untaught.judged()
     settings = untaught.settings()
     mirror = Mirror(settings.start, None, period=1.0, gap=settings.schedule.gap, health=settings.health)
-    assert found.summary.parameters is not None
-    mirror.parameters = found.summary.parameters
+    assert judgement.summary.parameters is not None
+    mirror.parameters = judgement.summary.parameters
     states = [mirror.push(sample) for sample in untaught.spiked()[: SPIKE + 1]]
     assert (states[-1].sample.seen, states[-1].sample.refused) == (
         False,

@@ -47,8 +47,8 @@ def test_a_replay_starts_from_the_memory_and_says_so(
 def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
     tmp_path: Path, memory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = PROJECT / "config" / "paper_candidates.yaml"
-    verdict = first_verdict(tmp_path, "--memory", str(memory), "--candidates", str(own))
+    users_file = PROJECT / "config" / "paper_candidates.yaml"
+    verdict = first_verdict(tmp_path, "--memory", str(memory), "--candidates", str(users_file))
     assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
     alone = tmp_path / "alone.sqlite"
     lesson = taught(1)
@@ -94,7 +94,7 @@ def test_what_a_session_started_from_is_recorded_as_a_file_of_candidates(memory:
     from twinmatch.parameters.candidates import candidates_text, parse_candidates
 
     start = remembered_start(memory, "", "")
-    again = parse_candidates(candidates_text(start.candidates), "file")
-    assert [(c.name, c.parameters) for c in again] == [(c.name, c.parameters) for c in start.candidates]
-    for one, other in zip(again, start.candidates, strict=True):
-        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-15)
+    read_back = parse_candidates(candidates_text(start.candidates), "file")
+    assert [(c.name, c.parameters) for c in read_back] == [(c.name, c.parameters) for c in start.candidates]
+    for candidate, original in zip(read_back, start.candidates, strict=True):
+        np.testing.assert_allclose(candidate.covariance, original.covariance, rtol=1e-15)

@@ -70,11 +70,11 @@ def test_a_recorded_session_is_identical(
     record: Callable[..., Path], capsys: Any, request: pytest.FixtureRequest
 ) -> None:
     folder = record()
-    found = verify_session(folder)
-    assert found.identical
-    assert (found.samples, found.notes) == (920, ())
-    assert found.verdicts > 10
-    assert found.matches == 3
+    verification = verify_session(folder)
+    assert verification.identical
+    assert (verification.samples, verification.notes) == (920, ())
+    assert verification.verdicts > 10
+    assert verification.matches == 3
     request.getfixturevalue("judged")
     assert main(["verify", str(folder)]) == 0
     assert "identical, bit for bit" in capsys.readouterr().out
@@ -85,31 +85,33 @@ def test_a_session_of_a_plant_with_two_loops_is_identical(tmp_path: Path) -> Non
     twin = Twin(TwinSettings.of(TCLabBoth, law=None))
     values = twin_values("twin", {"plant": TCLabBoth.name, "loop": "unknown"})
     folder = write_judged(tmp_path / "run", steps, [twin.push(sample) for sample in steps], values)
-    found = verify_session(folder)
-    assert found.identical
-    assert (found.verdicts > 5, found.matches, found.notes) == (True, 2, ())
+    verification = verify_session(folder)
+    assert verification.identical
+    assert (verification.verdicts > 5, verification.matches, verification.notes) == (True, 2, ())
 
 
 def test_a_verdict_may_be_due_at_a_lost_sample(
     samples: list[Sample], outcomes: list[Outcome], tmp_path: Path
 ) -> None:
     due = {verdict.sample for outcome in outcomes for verdict in outcome.verdicts}
-    seen = [sample for sample in samples if sample.index not in due]
+    received = [sample for sample in samples if sample.index not in due]
     twin = Twin(TwinSettings(), parse_candidates(FAMILY, "family"))
-    again = [twin.push(sample) for sample in seen]
-    assert {verdict.sample for outcome in again for verdict in outcome.verdicts} & due
+    outcomes_with_gaps = [twin.push(sample) for sample in received]
+    assert {verdict.sample for outcome in outcomes_with_gaps for verdict in outcome.verdicts} & due
     values = twin_values("twin", {"candidates": "family.yaml"})
     stamps = twin.discriminator.stamps
-    found = verify_session(write_judged(tmp_path / "run", seen, again, values, family=FAMILY, stamps=stamps))
-    assert found.identical
-    assert found.verdicts > 10
+    verification = verify_session(
+        write_judged(tmp_path / "run", received, outcomes_with_gaps, values, family=FAMILY, stamps=stamps)
+    )
+    assert verification.identical
+    assert verification.verdicts > 10
 
 
 @pytest.fixture
 def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
     """Saves the judging where only the comparison is of interest."""
     verdicts = tuple(v for o in outcomes for v in o.verdicts)
-    found = Judgement(
+    judgement = Judgement(
         name="run",
         samples=samples,
         settings=TwinSettings(),
@@ -119,7 +121,7 @@ def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.M
         stretches=stretches(samples, 1.0),
         stamps={sample.index: sample.stamp for sample in samples},
     )
-    monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: found)
+    monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: judgement)
 
 
 def nudge(value: float) -> float:
@@ -164,19 +166,19 @@ def test_a_single_bit_is_found(
     record: Callable[..., Path], capsys: Any, spoil: Change, words: list[str]
 ) -> None:
     folder = record(spoil)
-    found = verify_session(folder)
-    assert not found.identical
+    verification = verify_session(folder)
+    assert not verification.identical
     for word in words:
-        assert word in str(found.difference)
+        assert word in str(verification.difference)
     assert main(["verify", str(folder)]) == 1
-    assert str(found.difference) in capsys.readouterr().out.replace("\n", " ")
+    assert str(verification.difference) in capsys.readouterr().out.replace("\n", " ")
 
 
 @pytest.mark.usefixtures("judged")
 def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable[..., Path]) -> None:
-    found = verify_session(record(lambda _, scores: scores.pop()))
-    assert found.identical
-    assert found.notes == ("1 verdict at the very end came after the recording had stopped",)
+    verification = verify_session(record(lambda _, scores: scores.pop()))
+    assert verification.identical
+    assert verification.notes == ("1 verdict at the very end came after the recording had stopped",)
 
 
 @pytest.mark.usefixtures("judged")
@@ -185,9 +187,9 @@ def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[...,
         matches[0].suggestion = "A step up, please."
         scores[0].reason = "There was nothing to judge."
 
-    found = verify_session(record(word))
-    assert found.identical
-    assert found.notes == (
+    verification = verify_session(record(word))
+    assert verification.identical
+    assert verification.notes == (
         "this version words some texts differently; they were not compared: reason, suggestion",
     )
 
@@ -195,15 +197,15 @@ def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[...,
 @pytest.mark.usefixtures("judged")
 def test_a_match_that_was_published_twice_is_compared_once(record: Callable[..., Path]) -> None:
     """The discriminator may have asked again just when the answer came."""
-    found = verify_session(record(lambda matches, _: matches.insert(1, matches[0])))
-    assert found.identical
-    assert found.matches == 3
+    verification = verify_session(record(lambda matches, _: matches.insert(1, matches[0])))
+    assert verification.identical
+    assert verification.matches == 3
 
 
 def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> None:
-    found = verify_session(record(parameters={"decimals": 1}))
-    assert found.difference is not None
-    assert found.difference.field == "decimals"
+    verification = verify_session(record(parameters={"decimals": 1}))
+    assert verification.difference is not None
+    assert verification.difference.field == "decimals"
 
 
 @pytest.mark.parametrize(
@@ -283,26 +285,26 @@ def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
     settings = TwinSettings.of(Peltier, law=None)
     twin = Twin(settings)
     outcomes = [twin.push(sample) for sample in samples]
-    found = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))
-    assert found.identical
-    assert found.matches >= 2
+    verification = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))
+    assert verification.identical
+    assert verification.matches >= 2
 
 
 def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_path: Path) -> None:
     session = write_session(tmp_path / "quarter", quarter_of_an_hour())
     asked = ["forecast", str(session), "--config", str(config), "--at", "800"]
     assert main([*asked, "--hold", "80", "--horizon", "60", "--json", str(tmp_path / "f.json")]) == 0
-    told = capsys.readouterr().out
-    assert "80 PWM held" in told
-    assert "the loop is not known: the forecast is for the given inputs" in told
+    printed = capsys.readouterr().out
+    assert "80 PWM held" in printed
+    assert "the loop is not known: the forecast is for the given inputs" in printed
     [document] = json.loads((tmp_path / "f.json").read_text(encoding="utf-8"))
     assert document["reference"] is None
     assert document["u"]["mean"] == [80.0] * 60
     assert main([*asked, "--reference", "recorded"]) == 0
-    told = capsys.readouterr().out
-    assert "the recorded inputs" in told
-    assert "% of the temperature" in told
-    assert "nan" not in told
+    printed = capsys.readouterr().out
+    assert "the recorded inputs" in printed
+    assert "% of the temperature" in printed
+    assert "nan" not in printed
     assert main([*asked, "--hold", "900"]) == 2
     assert "the input now is 900 PWM; give one from -255 to 255 PWM" in capsys.readouterr().err
 

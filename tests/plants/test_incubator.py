@@ -45,11 +45,11 @@ def judged(twin: Parameters, window: Window, samples: int, free: tuple[str, ...]
     begun = Experiment(twin, (), window.part(0, samples - 1), free_starts=free)
     states = twin.model.plant.states
     box = np.array([states[n].start_bounds or states[n].span for n in free]).T
-    found = begun.descend(
+    minimum = begun.descend(
         begun.values_of(twin), box[0], box[1], np.array([states[n].scale for n in free]), 100
     )
-    assert found.converged
-    return left(twin, window, dict(zip(free, found.values.tolist(), strict=True)))
+    assert minimum.converged
+    return left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
 
 
 # --- equations ---
@@ -123,11 +123,11 @@ def test_a_match_finds_a_simulated_incubator(seed: int) -> None:
     truth = HEAVY.parameters(
         bed_heat_capacity=150.0, bed_conductance=0.6, box_conductance=0.95, box_heat_capacity=18e3
     )
-    found = match(simulated(truth, seed), start=HEAVY.parameters())
-    assert found.status is Status.ACCEPTED
+    a_match = match(simulated(truth, seed), start=HEAVY.parameters())
+    assert a_match.status is Status.ACCEPTED
     for name in HEAVY.structure.free:
         error = 0.15 if name == "box_heat_capacity" else 0.03  # walls move by a degree in the run
-        assert found.parameters[name] == pytest.approx(truth[name], rel=error), name
+        assert a_match.parameters[name] == pytest.approx(truth[name], rel=error), name
 
 
 def test_the_two_lumps_are_distinguished_from_one_and_from_three() -> None:
@@ -162,16 +162,16 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
 ) -> None:
     """Least squares on all samples would leave 0.46 and 0.30; here large errors count by their size."""
     runs = [run(FIRST), run(SECOND)]
-    found = fitted("four parameters", *runs)
-    figures = [left(found.parameters, w, dict(s)) for w, s in zip(runs, found.starts, strict=True)]
+    fit = fitted("four parameters", *runs)
+    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.50 < THEIRS[FIRST, 4]
     assert figures[1] <= 0.35 < THEIRS[SECOND, 4]
 
 
 def test_a_box_with_mass_leaves_a_third_of_that(run: Callable[[str], Window]) -> None:
     runs = [run(FIRST), run(SECOND)]
-    found = fitted("box with mass", *runs)
-    figures = [left(found.parameters, w, dict(s)) for w, s in zip(runs, found.starts, strict=True)]
+    fit = fitted("box with mass", *runs)
+    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.10
     assert figures[1] <= 0.15
 
@@ -193,9 +193,9 @@ def test_what_one_run_says_of_the_other(run: Callable[[str], Window]) -> None:
     second = run(SECOND)
     theirs = fitted("four parameters", second).parameters
     assert judged(theirs, first, 40, ("bed",)) <= 0.58
-    there = fitted("box with mass", second).parameters
-    assert judged(there, first, 40, ("bed",)) <= 0.50  # the box as warm as the first reading
-    assert judged(there, first, 200, ("bed", "box")) <= 0.25  # the box from the first ten minutes
+    boxed = fitted("box with mass", second).parameters
+    assert judged(boxed, first, 40, ("bed",)) <= 0.50  # the box as warm as the first reading
+    assert judged(boxed, first, 200, ("bed", "box")) <= 0.25  # the box from the first ten minutes
     back = fitted("box with mass", first).parameters
     assert judged(back, second, 40, ("bed",)) <= 0.25
 
@@ -204,14 +204,14 @@ def test_the_gate_says_that_the_first_run_does_not_determine_four_parameters(
     run: Callable[[str], Window],
 ) -> None:
     """Fitted all the same, they leave 1.1 °C and more on the second run."""
-    found = match(run(FIRST), start=PUBLISHED.parameters())
-    assert found.status is not Status.ACCEPTED
-    assert not set(found.believed) & {"air_heat_capacity", "bed_heat_capacity", "bed_conductance"}
-    assert "left open: air_heat_capacity" in found.determined
+    a_match = match(run(FIRST), start=PUBLISHED.parameters())
+    assert a_match.status is not Status.ACCEPTED
+    assert not set(a_match.believed) & {"air_heat_capacity", "bed_heat_capacity", "bed_conductance"}
+    assert "left open: air_heat_capacity" in a_match.determined
 
 
 def test_the_gate_takes_what_a_run_does_determine(run: Callable[[str], Window]) -> None:
     for name in (FIRST, SECOND):
-        found = match(run(name), start=LAGGED.parameters())
-        assert found.status is Status.ACCEPTED, found.reason
-        assert found.parameters["box_conductance"] == pytest.approx(0.95, abs=0.1)
+        a_match = match(run(name), start=LAGGED.parameters())
+        assert a_match.status is Status.ACCEPTED, a_match.reason
+        assert a_match.parameters["box_conductance"] == pytest.approx(0.95, abs=0.1)

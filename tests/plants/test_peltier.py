@@ -77,10 +77,10 @@ def test_a_tick_on_a_held_sink_is_the_closed_solution(
     rig: Parameters, plate: float, pwm: float, period: float
 ) -> None:
     exact = closed_tick(rig, plate, pwm, period)
-    found = advance(rig, np.array([plate]), pwm, period)[0]
+    ticked = advance(rig, np.array([plate]), pwm, period)[0]
     # The equilibrium the plate is drawn to may lie far off: what counts is how fast it goes there.
     way = abs(advance(rig, np.array([plate]), pwm, 1e-3)[0] - plate) * 1e3 * period
-    assert abs(found - exact) <= allowed(found - plate, way)
+    assert abs(ticked - exact) <= allowed(ticked - plate, way)
 
 
 @given(rig=held, plate=temperatures, pwm=pwms)
@@ -126,9 +126,9 @@ def test_a_sink_with_mass_is_integrated_closely(
     rig: Parameters, plate: float, sink: float, pwm: float
 ) -> None:
     start = np.array([plate, sink])
-    found = advance(rig, start, pwm, 3.0)
+    advanced = advance(rig, start, pwm, 3.0)
     exact = integrated(rig, np.array([plate, sink, plate]), pwm, 3.0)[:2]
-    assert np.max(np.abs(found - exact)) <= allowed(*(exact - start), plate - sink)
+    assert np.max(np.abs(advanced - exact)) <= allowed(*(exact - start), plate - sink)
 
 
 @given(rig=richest, plate=temperatures, sink=temperatures, sensor=temperatures, pwm=pwms)
@@ -136,9 +136,9 @@ def test_lag_slope_and_ripple_agree_with_a_general_integrator(
     rig: Parameters, plate: float, sink: float, sensor: float, pwm: float
 ) -> None:
     start = np.array([plate, sink, sensor])
-    found = advance(rig, start, pwm, 2.0)
+    advanced = advance(rig, start, pwm, 2.0)
     exact = integrated(rig, start, pwm, 2.0)
-    assert np.max(np.abs(found - exact)) <= allowed(*(exact - start), plate - sink, plate - sensor)
+    assert np.max(np.abs(advanced - exact)) <= allowed(*(exact - start), plate - sink, plate - sensor)
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20, 27])
@@ -150,7 +150,7 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
     for the first minutes after each start and step, which is where the plate moves."""
     reference = recorded_hour(number).reference
     reference = reference if rig is STRUCTURES[0] else reference[:240]
-    found = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
+    run = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
     states = np.array([296.0, rig["ambient"], 296.0])
     pid = Controller(Peltier.loop)
     output = np.empty(reference.size)
@@ -162,8 +162,8 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
             states[0] = closed_tick(rig, states[0], commands[k], 1.0)
         else:
             states = integrated(rig, states, commands[k], 1.0)
-    np.testing.assert_allclose(found.output, output, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(found.input, commands, atol=1e-4, rtol=0)
+    np.testing.assert_allclose(run.output, output, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(run.input, commands, atol=1e-4, rtol=0)
 
 
 @given(rig=richest, plate=temperatures, sink=temperatures, pwm=pwms)

@@ -69,13 +69,13 @@ def test_a_plant_may_use_a_file_beside_it(tmp_path: Path) -> None:
 
 def test_an_edit_within_the_second_that_leaves_the_size_is_seen(tmp_path: Path) -> None:
     path = plant_file(tmp_path, "block_edited")
-    found = []
+    limits = []
     for limit in ("100.0", "120.0"):
         path.write_text(path.read_text().replace("limits=(0.0, 100.0)", f"limits=(0.0, {limit})"))
         os.utime(path, (1_000_000_000, 1_000_000_000))
         with no_plant_files():  # as in a new process
-            found.append(find_plant(str(path)).drive.limits)
-    assert found == [(0.0, 100.0), (0.0, 120.0)]
+            limits.append(find_plant(str(path)).drive.limits)
+    assert limits == [(0.0, 100.0), (0.0, 120.0)]
 
 
 OTHER = """\

@@ -123,22 +123,22 @@ def simulated_kit() -> Window:
 def test_a_kit_simulated_by_others_is_matched_by_two_levels(simulated_kit: Window) -> None:
     """Of its two lags our heater takes the long one and our sensor the short one: in the reading they are one
     product. Gain and long lag are 0.6 °C/% and about 140 s there, so U = 2 J/K / (140 s · 10 cm²)."""
-    found = match(simulated_kit.part(200, 900), start=SIMPLE.parameters())
-    assert found.accepted, found.reason
-    assert found.parameters["losses"] == pytest.approx(2.0 / 140.0 / 10e-4, rel=0.1)
-    assert found.parameters["sensor_lag"] == pytest.approx(18.0, rel=0.2)
-    gain = found.parameters["heating"] / (found.parameters["losses"] * 10e-4)
+    a_match = match(simulated_kit.part(200, 900), start=SIMPLE.parameters())
+    assert a_match.accepted, a_match.reason
+    assert a_match.parameters["losses"] == pytest.approx(2.0 / 140.0 / 10e-4, rel=0.1)
+    assert a_match.parameters["sensor_lag"] == pytest.approx(18.0, rel=0.2)
+    gain = a_match.parameters["heating"] / (a_match.parameters["losses"] * 10e-4)
     assert gain == pytest.approx(0.6, rel=0.03)
 
 
 def test_its_steps_and_noise_are_all_that_is_left(simulated_kit: Window) -> None:
     """A reading is cut off to 0.3223 °C: in the mean it is half of that low, which the room takes up."""
-    found = fit_structure([simulated_kit], TCLab.model("sensor lag, neighbour"))
-    left = found.measured[0] - found.simulated[0]
+    fitted = fit_structure([simulated_kit], TCLab.model("sensor lag, neighbour"))
+    residuals = fitted.measured[0] - fitted.simulated[0]
     floor = np.hypot(0.3223 / np.sqrt(12.0), 0.043)
-    assert np.sqrt(np.mean(left[0] ** 2)) < 1.7 * floor
+    assert np.sqrt(np.mean(residuals[0] ** 2)) < 1.7 * floor
     # The readings were at 21 °C only before the heater warmed up; what follows tells the room to 2 °C.
-    assert found.parameters["ambient"] == pytest.approx(294.15 - 0.16, abs=2.0)
+    assert fitted.parameters["ambient"] == pytest.approx(294.15 - 0.16, abs=2.0)
 
 
 @pytest.mark.parametrize(
@@ -152,11 +152,11 @@ def test_real_kits_are_matched_in_open_loop(
     kit_recording: Callable[[str], Window], name: str, structure: str, most: float
 ) -> None:
     """Ten minutes over 40 °C; the readings come in steps of 0.32 °C."""
-    found = fit_structure([kit_recording(name)], TCLab.model(structure), law=None)
-    left = found.measured[0][0] - found.simulated[0][0]
-    assert np.sqrt(np.mean(left**2)) < most
-    assert found.parameters["heating"] == pytest.approx(0.009, rel=0.5)
-    assert 10.0 < found.parameters["sensor_lag"] < 40.0
+    fitted = fit_structure([kit_recording(name)], TCLab.model(structure), law=None)
+    residuals = fitted.measured[0][0] - fitted.simulated[0][0]
+    assert np.sqrt(np.mean(residuals**2)) < most
+    assert fitted.parameters["heating"] == pytest.approx(0.009, rel=0.5)
+    assert 10.0 < fitted.parameters["sensor_lag"] < 40.0
 
 
 @pytest.mark.parametrize(
@@ -171,11 +171,11 @@ def test_the_first_five_minutes_of_a_real_kit_forecast_the_next(
 ) -> None:
     """Under the heaters that came, steps of 30 to 80 %: with a third of the error that no change has."""
     whole = kit_recording(name)
-    found = fit_structure([whole.part(0, 299)], TCLab.model(structure), law=None, informed=True)
+    fitted = fit_structure([whole.part(0, 299)], TCLab.model(structure), law=None, informed=True)
     run = simulate_driven(
-        found.parameters,
+        fitted.parameters,
         whole.input[299:],
-        states=found.states[0][-1],
+        states=fitted.states[0][-1],
         disturbances=whole.disturbances[299:],
     )
     error = whole.output[299:] - run.output

@@ -44,12 +44,16 @@ def published(_: float, x: np.ndarray, kit: Parameters, q1: float, q2: float) ->
 
 
 def test_it_is_the_published_balance() -> None:
-    at = {"heater": 330.0, "neighbour": 305.0, "sensor_state": 325.0, "second_sensor": 303.0}
-    states = np.array([at[name] for name in WHOLE.states])
-    order = list(at)
+    temperatures = {"heater": 330.0, "neighbour": 305.0, "sensor_state": 325.0, "second_sensor": 303.0}
+    states = np.array([temperatures[name] for name in WHOLE.states])
+    order = list(temperatures)
     after = advance(KIT, states, [40.0, 25.0], 5.0)
     exact = solve_ivp(
-        lambda t, x: published(t, x, KIT, 40.0, 25.0), (0.0, 5.0), list(at.values()), rtol=1e-11, atol=1e-9
+        lambda t, x: published(t, x, KIT, 40.0, 25.0),
+        (0.0, 5.0),
+        list(temperatures.values()),
+        rtol=1e-11,
+        atol=1e-9,
     ).y[:, -1]
     np.testing.assert_allclose(after, [exact[order.index(name)] for name in WHOLE.states], rtol=1e-7)
 
@@ -69,13 +73,13 @@ def driven(samples: int, *, noise: float, drift: float = 0.0) -> Window:
 
 
 def test_a_session_gives_its_parameters_with_their_covariance() -> None:
-    found = fit_session(WHOLE, driven(4000, noise=0.1), informed=False)
-    errors = np.sqrt(np.diag(found.covariance))
-    assert found.converged
+    fitted = fit_session(WHOLE, driven(4000, noise=0.1), informed=False)
+    errors = np.sqrt(np.diag(fitted.covariance))
+    assert fitted.converged
     for name, error in zip(WHOLE.structure.free, errors, strict=True):
-        assert abs(found.parameters[name] - KIT[name]) < 3.0 * error, name
+        assert abs(fitted.parameters[name] - KIT[name]) < 3.0 * error, name
     noise = np.random.default_rng(0).normal(0.0, 0.1 / 0.12, 100_000)
-    assert found.cost == pytest.approx(np.mean(2.0 * (np.sqrt(1.0 + noise**2) - 1.0)), rel=0.03)
+    assert fitted.cost == pytest.approx(np.mean(2.0 * (np.sqrt(1.0 + noise**2) - 1.0)), rel=0.03)
 
 
 def test_stretches_withstand_a_drifting_room() -> None:
@@ -100,27 +104,30 @@ def test_a_real_kit_is_forecast_better_than_by_a_vector_arx() -> None:
     y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
     cut = 3 * len(rows) // 5
     session = Window(np.zeros_like(y), y, u)
-    found = fit_session(TCLabBoth.model(), session.part(0, cut - 1))
+    fitted = fit_session(TCLabBoth.model(), session.part(0, cut - 1))
     samples = [Sample(k, 10**9 * k, (0.0, 0.0), tuple(y[k]), tuple(u[k])) for k in range(len(y))]
     arx = Arx(None, 1.0)
     for sample in samples[:cut]:
         arx.push(sample)
     fixed = arx.departure(np.zeros(0))
-    follower = StateFilter(found.parameters, 1.0)
-    foresight = foresight_of([(found.parameters, ())], None, 1.0)
+    follower = StateFilter(fitted.parameters, 1.0)
+    foresight = foresight_of([(fitted.parameters, ())], None, 1.0)
     errors: dict[int, list[np.ndarray]] = {10: [], 60: [], 300: []}
     for k, sample in enumerate(samples[:-300]):
         follower.push(sample)
         if k < cut or k % 20:
             continue
         ahead = u[k + 1 : k + 301]
-        now = foresight.at([follower.states], [follower.joint], sample.inputs, np.zeros(0))
-        twin = foresight.ahead(now, ahead, None, banded=False).means[:2]
+        newest_state = foresight.at([follower.states], [follower.joint], sample.inputs, np.zeros(0))
+        twin = foresight.ahead(newest_state, ahead, None, banded=False).means[:2]
         past = np.ascontiguousarray(np.hstack([y, u])[k - fixed.order + 1 : k + 1][::-1])
         peer = fixed._replace(past=past).forecast(ahead, None)[:2]
         for horizon, found_so_far in errors.items():
             found_so_far.append(np.array([twin, peer])[:, :, horizon - 1] - y[k + horizon])
-    rms = {horizon: np.sqrt(np.mean(np.square(each), axis=(0, 2))) for horizon, each in errors.items()}
+    rms = {
+        horizon: np.sqrt(np.mean(np.square(horizon_errors), axis=(0, 2)))
+        for horizon, horizon_errors in errors.items()
+    }
     assert rms[10][0] < 0.16
     assert rms[60][0] < 0.9 * rms[60][1]
     assert rms[300][0] < 0.75 * rms[300][1]

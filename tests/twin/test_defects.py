@@ -118,14 +118,17 @@ def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
         verdicts = run(samples[BREAKS:ENDS], broken, twin)
     assert broken.raised == 1
     assert len(warned) == 1
-    (said,) = defective(verdicts)
-    assert (said.level, said.level_reason) == (TrustLevel.UNKNOWN, f"{SAID} of this program")
+    (defective_verdict,) = defective(verdicts)
+    assert (defective_verdict.level, defective_verdict.level_reason) == (
+        TrustLevel.UNKNOWN,
+        f"{SAID} of this program",
+    )
     (defect,) = twin.discriminator.defects.values()
-    assert said.reason.endswith(f"{defect.place}, {defect.function}: ZeroDivisionError: a slip")
-    assert BREAKS <= said.sample <= 420
-    assert "a slip" in line_text(said)
-    assert comparable(tree_of(said))
-    assert verdicts[-1].sample > said.sample, "the verdicts after it are made as ever"
+    assert defective_verdict.reason.endswith(f"{defect.place}, {defect.function}: ZeroDivisionError: a slip")
+    assert BREAKS <= defective_verdict.sample <= 420
+    assert "a slip" in line_text(defective_verdict)
+    assert comparable(tree_of(defective_verdict))
+    assert verdicts[-1].sample > defective_verdict.sample, "the verdicts after it are made as ever"
     assert twin.discriminator.settled == ENDS - 1
 
 
@@ -178,8 +181,10 @@ def test_a_failing_verdict_costs_nothing_else(
     broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError())
     with pytest.warns(DefectWarning):
         verdicts = run(samples[BREAKS:ENDS], broken, twin)
-    (said,) = defective(verdicts)
-    assert [repr(v) for v in verdicts if v is not said] == [repr(v) for v in whole if v.sample != said.sample]
+    (defective_verdict,) = defective(verdicts)
+    assert [repr(v) for v in verdicts if v is not defective_verdict] == [
+        repr(v) for v in whole if v.sample != defective_verdict.sample
+    ]
 
 
 def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_verdicts(
@@ -200,8 +205,8 @@ def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) ->
     broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
         verdicts = run(steps, broken, twin, at=690)
-    (said,) = defective(verdicts)
-    assert (said.fault, said.fault_signal) == ("drive-lost", "pwm")
+    (defective_verdict,) = defective(verdicts)
+    assert (defective_verdict.fault, defective_verdict.fault_signal) == ("drive-lost", "pwm")
     assert {verdict.fault for verdict in verdicts if verdict.sample >= 690} == {"drive-lost"}
 
 

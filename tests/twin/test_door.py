@@ -51,12 +51,12 @@ def test_a_reading_that_is_refused_changes_nothing(recorded_hour: Callable[[int]
     """Forecasts are saved at 600 and 1800; the drive is lost from 2235 on."""
     samples = samples_of(recorded_hour(27))[:2400]
     instants = (40, 239, 600, 1337, 1800, 2240)
-    twin, told = judged(spiked(samples, {k: samples[k].output + 30.0 for k in instants}))
+    twin, verdicts = judged(spiked(samples, {k: samples[k].output + 30.0 for k in instants}))
     alarms = [
-        v.sample for v in told if v.fault == Fault.SENSOR_IMPLAUSIBLE.value and v.fault_since == v.sample
+        v.sample for v in verdicts if v.fault == Fault.SENSOR_IMPLAUSIBLE.value and v.fault_since == v.sample
     ]
     assert tuple(sorted(set(alarms))) == instants
-    assert ending(twin, told) == ending(*judged(samples))
+    assert ending(twin, verdicts) == ending(*judged(samples))
 
 
 @given(
@@ -78,10 +78,10 @@ def test_neither_range_nor_windows_hold_a_refused_reading(
         *before, settled = door.take(sample)
         assert settled.seen == (sample.index not in spikes)
         assert settled.refused == (() if settled.seen else sample.outputs)
-        for one in (*before, settled):
-            if one.usable:
-                arx.push(one)
-                trigger = schedule.push(one)
+        for settled_sample in (*before, settled):
+            if settled_sample.usable:
+                arx.push(settled_sample)
+                trigger = schedule.push(settled_sample)
                 windows += [] if trigger is None else [trigger.window]
     assert [(low <= a, b <= high) for a, b in arx.visited] == [(True, True)]
     for window in (*windows, *filled_stretches(came, SETTINGS)):
@@ -95,7 +95,7 @@ def test_after_more_than_a_gap_may_have_everything_starts_over(simulated_session
     """A camera that has moved by 12 °C is taken again where it is now, but nothing reaches across."""
     moved = {s.index: s.output + 12.0 for s in simulated_session[130:180]}
     door = Door.of(SETTINGS)
-    came = [one for sample in spiked(simulated_session[:300], moved) for one in door.take(sample)]
+    came = [settled for sample in spiked(simulated_session[:300], moved) for settled in door.take(sample)]
     refused = [s.index for s in came if s.refused]
     unusable = [s.index for s in came if not s.usable]
     assert refused == [*range(130, 131 + LONGEST), *range(180, 181 + LONGEST)]
@@ -117,9 +117,9 @@ def test_a_stand_in_for_a_refused_reading_moves_as_the_plant_does(simulated_sess
     )
     gone = range(step + 3, step + 3 + LONGEST)
     settled = filled(spiked(simulated_session[: step + 20], dict.fromkeys(gone, 240.0)), SETTINGS)
-    off = [settled[k].output - simulated_session[k].output for k in gone]
-    held = [settled[gone[0] - 1].output - simulated_session[k].output for k in gone]
-    assert np.linalg.norm(off) < np.linalg.norm(held) / 3
+    error_of_stand_ins = [settled[k].output - simulated_session[k].output for k in gone]
+    error_if_held = [settled[gone[0] - 1].output - simulated_session[k].output for k in gone]
+    assert np.linalg.norm(error_of_stand_ins) < np.linalg.norm(error_if_held) / 3
     assert all(s.inputs == true.inputs for s, true in zip(settled, simulated_session, strict=False))
 
 
@@ -128,9 +128,13 @@ def test_a_sensor_that_fails_from_the_first_sample_is_reported(
     count: int, simulated_session: list[Sample]
 ) -> None:
     """Nothing stands in for readings before the first that the plant can have."""
-    twin, told = judged(spiked(simulated_session[:400], dict.fromkeys(range(count), -273.15)))
-    assert (told[0].sample, told[0].level, told[0].fault) == (0, TrustLevel.FAULT, "sensor-implausible")
-    assert all(v.first >= count for v in told if v.match)
+    twin, verdicts = judged(spiked(simulated_session[:400], dict.fromkeys(range(count), -273.15)))
+    assert (verdicts[0].sample, verdicts[0].level, verdicts[0].fault) == (
+        0,
+        TrustLevel.FAULT,
+        "sensor-implausible",
+    )
+    assert all(v.first >= count for v in verdicts if v.match)
     assert twin.discriminator.monitor.alarms[0].last == count - 1
 
 

@@ -51,14 +51,14 @@ def story() -> Iterator[tuple[list[Outcome], list[Any]]]:
 def test_what_a_match_has_to_beat_is_in_the_family(story: tuple[list[Outcome], list[Any]]) -> None:
     outcomes, rivals = story
     family: list[Parameters] = []
-    told: list[Verdict] = []
+    verdicts: list[Verdict] = []
     asked = iter(rivals)
     for outcome in outcomes:
         if outcome.match is not None:
             rival = next(asked)
             assert rival is None or rival in family, outcome.match.sample
-        told += outcome.verdicts
-        family = [c.parameters for c in told[-1].candidates] if told else []
+        verdicts += outcome.verdicts
+        family = [c.parameters for c in verdicts[-1].candidates] if verdicts else []
     assert next(asked, None) is None
 
 
@@ -83,14 +83,14 @@ def test_a_window_with_a_known_fault_is_not_asked_about(story: tuple[list[Outcom
 
 
 def test_given_candidates_are_who_a_match_of_their_regime_has_to_beat() -> None:
-    given = Candidate(
+    candidate = Candidate(
         "given", 71.0, Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0), None
     )
-    judge = Discriminator(TwinSettings(), [given])
+    judge = Discriminator(TwinSettings(), [candidate])
     steps = (judge.push_sample(sample) for sample in drive_lost_for_a_while(ticks=500))
     request = next(step.request for step in steps if step.request is not None)
     assert request.operating_point == 70.0
-    assert request.incumbent == request.start == given.parameters
+    assert request.incumbent == request.start == candidate.parameters
 
 
 def test_what_cannot_be_matched_is_refused_in_words() -> None:

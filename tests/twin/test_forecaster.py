@@ -97,9 +97,9 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
         if k % 20 or k < 100:
             continue
         ahead = samples[k + 1 : k + 301]
-        told = forecaster.outlook().forecast([s.reference for s in ahead])
+        forecast = forecaster.outlook().forecast([s.reference for s in ahead])
         for h in (9, 59, 299):
-            for band, value in ((told.output, ahead[h].output), (told.input, ahead[h].input)):
+            for band, value in ((forecast.output, ahead[h].output), (forecast.input, ahead[h].input)):
                 inside.append(band.low[h] <= value <= band.high[h])
     assert np.mean(inside) == pytest.approx(0.9, abs=0.1)
 
@@ -116,27 +116,32 @@ class Judged:
 
 @pytest.fixture(scope="module")
 def judged(samples: list[Sample]) -> Judged:
-    found = Judged(Twin(), [], {})
+    judgement = Judged(Twin(), [], {})
     for sample in samples:
-        found.leaders += [v.leader for v in found.twin.push(sample).verdicts]
+        judgement.leaders += [v.leader for v in judgement.twin.push(sample).verdicts]
         if sample.index == 1111:
-            forecaster = found.twin.discriminator.forecaster
-            found.outlooks |= {name: forecaster.outlook(name) for name in forecaster.names}
-    return found
+            forecaster = judgement.twin.discriminator.forecaster
+            judgement.outlooks |= {name: forecaster.outlook(name) for name in forecaster.names}
+    return judgement
 
 
 def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample], judged: Judged) -> None:
     """Whether the session is cut there or continues, the bits are the same, for every candidate."""
-    again = Twin()
+    cut_twin = Twin()
     for sample in samples[:1112]:
-        again.push(sample)
-    forecaster = again.discriminator.forecaster
+        cut_twin.push(sample)
+    forecaster = cut_twin.discriminator.forecaster
     assert set(forecaster.names) == set(judged.outlooks)
     for name in forecaster.names:
-        one, other = (o.forecast([60.0] * 300) for o in (judged.outlooks[name], forecaster.outlook(name)))
-        for band, its in ((one.output, other.output), (one.input, other.input)):
+        whole_forecast, cut_forecast = (
+            o.forecast([60.0] * 300) for o in (judged.outlooks[name], forecaster.outlook(name))
+        )
+        for band, cut_band in (
+            (whole_forecast.output, cut_forecast.output),
+            (whole_forecast.input, cut_forecast.input),
+        ):
             for side in ("mean", "low", "high"):
-                assert getattr(band, side).tobytes() == getattr(its, side).tobytes()
+                assert getattr(band, side).tobytes() == getattr(cut_band, side).tobytes()
 
 
 def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
@@ -146,9 +151,9 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
     forecaster.enter(given(truth=TRUTH))
     for sample in quiet[:250]:
         forecaster.push(sample)
-    told = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
-    assert told.output.mean == pytest.approx([s.output for s in quiet[250:550]], abs=1e-6)
-    assert told.input.mean == pytest.approx([s.input for s in quiet[250:550]], abs=1e-3)
+    forecast = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
+    assert forecast.output.mean == pytest.approx([s.output for s in quiet[250:550]], abs=1e-6)
+    assert forecast.input.mean == pytest.approx([s.input for s in quiet[250:550]], abs=1e-3)
 
 
 def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None:
@@ -208,8 +213,8 @@ def test_a_forecast_says_that_it_leaves_what_was_visited(samples: list[Sample]) 
     forecaster.enter(given(truth=TRUTH))
     for sample in samples[:150]:
         forecaster.push(sample)
-    here = samples[149].reference
-    assert not forecaster.outlook().forecast([here] * 100).notes
+    reference_now = samples[149].reference
+    assert not forecaster.outlook().forecast([reference_now] * 100).notes
     (note,) = forecaster.outlook().forecast([99.0] * 300).notes
     assert "was visited" in note
 
@@ -220,9 +225,9 @@ def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> No
     assert leaders[-1] == RICH
     assert leaders.count(RICH) > len(leaders) / 2
     scores = judged.twin.discriminator.forecaster.scores
-    found = next(s for s in scores if s.name == RICH).parameters
-    for name, of in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
-        assert found[name] == pytest.approx(TRUTH[name], rel=of), name
+    parameters = next(s for s in scores if s.name == RICH).parameters
+    for name, tolerance in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
+        assert parameters[name] == pytest.approx(TRUTH[name], rel=tolerance), name
 
 
 def test_no_bands_are_compared_once_nobody_leads(samples: list[Sample]) -> None:

@@ -26,8 +26,8 @@ def test_it_is_the_gap_between_the_candidates_plants(judged: list[Verdict]) -> N
     last = judged[-1]
     settings = TwinSettings()
     terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
-    again = plant_gaps([c.parameters for c in last.candidates], last.nu_gap_points, terms)
-    np.testing.assert_array_equal(last.nu_gap, again.matrix)
+    recomputed = plant_gaps([c.parameters for c in last.candidates], last.nu_gap_points, terms)
+    np.testing.assert_array_equal(last.nu_gap, recomputed.matrix)
 
 
 def test_the_points_are_those_of_the_family_and_the_ends_of_what_was_asked_for(judged: list[Verdict]) -> None:
@@ -57,8 +57,8 @@ def test_what_matches_leave_open_makes_the_intervals(judged: list[Verdict]) -> N
         low = np.array([c.nu_gap_low for c in verdict.modelled])
         high = np.array([c.nu_gap_high for c in verdict.modelled])
         assert np.all((low <= gaps) & (gaps <= high))
-        off = ~np.eye(len(gaps), dtype=bool)
-        assert np.all((high - low)[off] > 0)
+        off_diagonal = ~np.eye(len(gaps), dtype=bool)
+        assert np.all((high - low)[off_diagonal] > 0)
 
 
 def test_the_nominal_plant_is_near_the_rig(judged: list[Verdict]) -> None:
@@ -75,16 +75,19 @@ def test_the_nominal_plant_is_near_the_rig(judged: list[Verdict]) -> None:
 def test_a_given_candidate_of_another_structure_is_compared_and_exact(
     simulated_session: list[Sample],
 ) -> None:
-    given = [Candidate("massive", 20.0, MASSIVE, None), Candidate("again", 100.0, MASSIVE, None)]
-    twin = Twin(TwinSettings(), given)
+    candidates = [Candidate("massive", 20.0, MASSIVE, None), Candidate("again", 100.0, MASSIVE, None)]
+    twin = Twin(TwinSettings(), candidates)
     verdicts = [v for s in simulated_session[:900] for v in twin.push(s).verdicts if not v.stands]
     last = verdicts[-1]
     names = [c.name for c in last.candidates]
     assert {"massive", "again"} < set(names)
-    one = names.index("massive")
-    other = names.index("again")
-    assert last.nu_gap[one][other] == 0.0
-    assert last.candidates[one].nu_gap_high[other] == 0.0
+    massive_index = names.index("massive")
+    again_index = names.index("again")
+    assert last.nu_gap[massive_index][again_index] == 0.0
+    assert last.candidates[massive_index].nu_gap_high[again_index] == 0.0
     matched = next(k for k, name in enumerate(names) if name not in {"massive", "again"})
-    assert 0.0 < last.nu_gap[one][matched] < 1.0
-    assert last.candidates[one].nu_gap_low[matched] < last.candidates[one].nu_gap_high[matched]
+    assert 0.0 < last.nu_gap[massive_index][matched] < 1.0
+    assert (
+        last.candidates[massive_index].nu_gap_low[matched]
+        < last.candidates[massive_index].nu_gap_high[matched]
+    )

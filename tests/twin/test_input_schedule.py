@@ -61,33 +61,33 @@ def test_an_input_that_stands_still_gives_quiet_triggers_only() -> None:
 
 def test_a_step_test_is_judged_as_set_points_are() -> None:
     """When the next step ends a level, or `span` samples after it began; from the session's start on."""
-    found = excited(steps((0.0, 100), (50.0, 130), (20.0, 300), (80.0, 10)))
-    assert [t.sample for t in found] == [230, 230 + SPAN]
-    assert [(t.window.first, t.window.last) for t in found] == [(0, 229), (0, 230 + SPAN)]
+    triggers = excited(steps((0.0, 100), (50.0, 130), (20.0, 300), (80.0, 10)))
+    assert [t.sample for t in triggers] == [230, 230 + SPAN]
+    assert [(t.window.first, t.window.last) for t in triggers] == [(0, 229), (0, 230 + SPAN)]
 
 
 def test_one_level_without_the_way_to_it_has_to_wait() -> None:
     """An input that jumps as the session begins did not rest before: its regime lasts for `span` samples."""
-    found = excited(steps((0.0, 5), (50.0, 195), (20.0, 200), (80.0, 200), (0.0, 10)))
-    assert [t.sample for t in found] == [5 + SPAN, 600]
-    assert np.unique(found[0].window.input).size == 3
+    triggers = excited(steps((0.0, 5), (50.0, 195), (20.0, 200), (80.0, 200), (0.0, 10)))
+    assert [t.sample for t in triggers] == [5 + SPAN, 600]
+    assert np.unique(triggers[0].window.input).size == 3
 
 
 def test_a_window_begins_where_the_input_had_rested() -> None:
     """At 1000 and more samples the first steps are out of reach: it begins before the oldest that is not."""
-    found = excited(steps((0.0, 300), *((50.0, 350), (20.0, 350)) * 2, (80.0, 300)))
+    triggers = excited(steps((0.0, 300), *((50.0, 350), (20.0, 350)) * 2, (80.0, 300)))
     # The steps come at 300, 650, 1000, 1350 and 1700.
-    assert [t.sample for t in found] == [540, 890, 1240, 1590, 1940]
-    assert [t.window.first for t in found] == [0, 280, 630, 980, 1330]
+    assert [t.sample for t in triggers] == [540, 890, 1240, 1590, 1940]
+    assert [t.window.first for t in triggers] == [0, 280, 630, 980, 1330]
 
 
 def test_an_input_that_switches_all_the_time_is_judged_every_span() -> None:
     """On for 7 samples and off for 10: nobody can wait for a rest."""
-    found = excited(np.tile(steps((100.0, 7), (0.0, 10)), 150))
-    gaps = np.diff([t.sample for t in found])
+    triggers = excited(np.tile(steps((100.0, 7), (0.0, 10)), 150))
+    gaps = np.diff([t.sample for t in triggers])
     assert gaps.min() >= SPAN
     assert gaps.max() <= SPAN + 10  # the next regime begins with the next switch
-    assert {len(t.window) for t in found[3:]} == {CAPACITY}
+    assert {len(t.window) for t in triggers[3:]} == {CAPACITY}
 
 
 def test_noise_is_not_a_step() -> None:
@@ -129,9 +129,9 @@ def test_a_gap_starts_over() -> None:
     for k in range(200):
         schedule.push(Sample(k, k, 0.0, 0.0, 50.0 * (k >= 100)))
     later = [schedule.push(Sample(1000 + k, k, 0.0, 0.0, 20.0 * (k >= 50))) for k in range(400)]
-    found = [t for t in later if t is not None]
-    assert min(t.window.first for t in found) == 1000
-    assert [t.sample for t in found if t.excited] == [1050 + SPAN]
+    triggers = [t for t in later if t is not None]
+    assert min(t.window.first for t in triggers) == 1000
+    assert [t.sample for t in triggers if t.excited] == [1050 + SPAN]
 
 
 REGIMES = st.lists(st.tuples(st.sampled_from([0.0, 4.0, 50.0, 100.0]), st.integers(1, 400)), max_size=12)
@@ -143,19 +143,19 @@ def test_triggers_depend_on_the_samples_before_them_alone(regimes: list[tuple[fl
     whole = run(heater)
     part = run(heater[:cut])
     assert [t.sample for t in part] == [t.sample for t in whole if t.sample < cut]
-    for mine, other in zip(part, whole, strict=False):
-        assert (mine.excited, mine.window.first) == (other.excited, other.window.first)
-        np.testing.assert_array_equal(mine.window.input, other.window.input)
+    for trigger, uncut_trigger in zip(part, whole, strict=False):
+        assert (trigger.excited, trigger.window.first) == (uncut_trigger.excited, uncut_trigger.window.first)
+        np.testing.assert_array_equal(trigger.window.input, uncut_trigger.window.input)
 
 
 @given(regimes=REGIMES)
 def test_excited_windows_hold_a_movement_and_do_not_come_too_often(
     regimes: list[tuple[float, int]],
 ) -> None:
-    found = excited(steps((0.0, 50), *regimes))
-    for trigger in found:
+    triggers = excited(steps((0.0, 50), *regimes))
+    for trigger in triggers:
         assert np.ptp(trigger.window.input) >= 0.1 * SETTINGS.min_step
         assert len(trigger.window) <= CAPACITY
         assert trigger.window.last in {trigger.sample, trigger.sample - 1}
-    ends = [t.window.last for t in found]
+    ends = [t.window.last for t in triggers]
     assert all(b - a >= SETTINGS.min_span for a, b in itertools.pairwise(ends))

@@ -59,7 +59,7 @@ def compared(errors: tuple[float, float], errs: float, held: tuple[float, float]
 
 
 def known(**more: Any) -> Knowledge:
-    said: dict[str, Any] = {
+    fields: dict[str, Any] = {
         **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
         **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "outside": False},
@@ -67,7 +67,7 @@ def known(**more: Any) -> Knowledge:
         **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
         **{"trusted": (), "alone": {}},
     }
-    return Knowledge(**said | more)
+    return Knowledge(**fields | more)
 
 
 def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
@@ -168,33 +168,33 @@ def test_trusted_is_more_than_chance(
     errors: tuple[float, float], errs: float, held: tuple[float, float], new: str, standing: str
 ) -> None:
     """At a horizon not trusted before, and at one that was."""
-    for before, said in (((), new), ((10.0,), standing)):
+    for before, doubt in (((), new), ((10.0,), standing)):
         verdict = verdict_of(known(forecasts=(compared(errors, errs, held),), trusted=before))
-        assert verdict.trusted == (() if said else (10.0,))
-        assert said in verdict.doubts
-        assert bool(said) == bool(verdict.doubts)
-        assert (verdict.level is TrustLevel.TRUSTED) == (not said)
+        assert verdict.trusted == (() if doubt else (10.0,))
+        assert doubt in verdict.doubts
+        assert bool(doubt) == bool(verdict.doubts)
+        assert (verdict.level is TrustLevel.TRUSTED) == (not doubt)
 
 
 def test_a_verdict_names_the_fault_that_there_is_and_not_a_suspicion() -> None:
-    found = [
+    named_faults = [
         (v.fault, v.fault_since)
         for state in (HealthState.FAULT, HealthState.SUSPECT)
         for v in [verdict_of(known(health=faulty(Fault.DRIVE_LOST, state)))]
     ]
-    assert found == [("drive-lost", 281), ("", None)]
+    assert named_faults == [("drive-lost", 281), ("", None)]
 
 
 def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
     sink = "sink with mass"
-    one = score("one", structure=sink, gain=4.0)
+    worse = score("one", structure=sink, gain=4.0)
     best = score("best", structure=sink, gain=6.0)
     new = dataclasses.replace(score("new", structure=sink, gain=9.0), gain=math.nan)
-    every = (score(gain=99.0), new, one, best)
-    assert verdict_of(known(structure=sink, forecasts=every)).structure_parameters == best.parameters
-    assert verdict_of(known(structure=sink, forecasts=every[:2])).structure_parameters == new.parameters
+    scores = (score(gain=99.0), new, worse, best)
+    assert verdict_of(known(structure=sink, forecasts=scores)).structure_parameters == best.parameters
+    assert verdict_of(known(structure=sink, forecasts=scores[:2])).structure_parameters == new.parameters
     assert verdict_of(known(structure=sink)).structure_parameters is None
-    assert verdict_of(known(forecasts=every)).structure_parameters is None
+    assert verdict_of(known(forecasts=scores)).structure_parameters is None
 
 
 def test_the_structure_has_parameters_of_its_own_and_a_leaders_if_it_has_that_structure(
@@ -214,14 +214,14 @@ def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Samp
     """The plate may have 120 °C, but cannot have jumped there and back."""
     twin = Twin()
     spike = 911
-    told: list[Verdict] = []
+    verdicts: list[Verdict] = []
     for sample in simulated_session[: spike + 120]:
         reading = 120.0 if sample.index == spike else sample.output
-        told += twin.push(dataclasses.replace(sample, outputs=reading)).verdicts
-    assert [v.sample for v in told if v.fault == "sensor-implausible"][:1] == [spike]
-    held = [v for v in told if v.sample >= spike and not math.isnan(v.held_high)]
+        verdicts += twin.push(dataclasses.replace(sample, outputs=reading)).verdicts
+    assert [v.sample for v in verdicts if v.fault == "sensor-implausible"][:1] == [spike]
+    with_range = [v for v in verdicts if v.sample >= spike and not math.isnan(v.held_high)]
     highest = max(s.output for s in simulated_session[: spike + 120])
-    assert held
-    assert {v.sample: v.held_high for v in held if v.held_high > highest} == {}
-    after = [v for v in told if v.sample > spike and not v.fault]
+    assert with_range
+    assert {v.sample: v.held_high for v in with_range if v.held_high > highest} == {}
+    after = [v for v in verdicts if v.sample > spike and not v.fault]
     assert {v.level for v in after} == {TrustLevel.TRUSTED}, "a refused reading is not a miss of the band"

@@ -43,8 +43,8 @@ class Rig:
         assert sample is not None
         self.states = advance(self.truth, self.states, np.array(sample.inputs), 1.0)
         self.k += 1
-        told = self.twin.push(sample).verdicts
-        self.verdict = told[-1] if told else None
+        verdicts = self.twin.push(sample).verdicts
+        self.verdict = verdicts[-1] if verdicts else None
         return sample
 
     @property
@@ -63,8 +63,8 @@ def run() -> tuple[list[ExperimentReport], list[Sample], Snapshot, Rig]:
     reports = [live.report, live.run()]
     samples = []
     while reports[-1].phase is ExperimentPhase.RUNNING:
-        now = reports[-1]
-        course = Profile(now.levels, now.holds, lowest=0.0, highest=90.0, unit="°C")
+        newest_report = reports[-1]
+        course = Profile(newest_report.levels, newest_report.holds, lowest=0.0, highest=90.0, unit="°C")
         begun = rig.loop.time
         while True:
             samples.append(rig.sample(course.reference, begun))
@@ -102,9 +102,9 @@ def test_what_it_brings_grows_and_is_about_what_was_expected(run: Run) -> None:
 def test_a_course_is_kept_unless_another_is_better(run: Run) -> None:
     """Of two reports in a row the second has the rest of the first, or brings a character more."""
     reports, *_ = run
-    kept = [set(b.levels) <= set(a.levels) for a, b in pairwise(reports[1:-1])]
-    assert kept
-    assert sum(kept) >= len(kept) / 2
+    keeps_course = [set(b.levels) <= set(a.levels) for a, b in pairwise(reports[1:-1])]
+    assert keeps_course
+    assert sum(keeps_course) >= len(keeps_course) / 2
 
 
 def test_it_ends_with_a_fault_and_with_lost_samples(run: Run) -> None:

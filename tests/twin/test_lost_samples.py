@@ -55,23 +55,23 @@ def test_stand_ins_fill_a_short_gap_and_say_what_they_are(
     first: int, missing: int, y: float, after: float
 ) -> None:
     before = Sample(first, 10**9 * first, 30.0, y, 12.0, (1.0,))
-    then = Sample(first + missing + 1, 10**9 * (first + missing + 1), 40.0, after, 13.0, (2.0,))
-    found = stand_ins(before, then)
+    next_sample = Sample(first + missing + 1, 10**9 * (first + missing + 1), 40.0, after, 13.0, (2.0,))
+    filled = stand_ins(before, next_sample)
     if missing > LONGEST:
-        assert found == []
+        assert filled == []
         return
-    assert [s.index for s in found] == list(range(before.index + 1, then.index))
-    assert [s.stamp for s in found] == [10**9 * s.index for s in found]
-    assert not any(s.seen for s in found)
-    assert all((s.reference, s.input, s.disturbances) == (30.0, 12.0, (1.0,)) for s in found)
-    levels = [y, *(s.output for s in found), after]
+    assert [s.index for s in filled] == list(range(before.index + 1, next_sample.index))
+    assert [s.stamp for s in filled] == [10**9 * s.index for s in filled]
+    assert not any(s.seen for s in filled)
+    assert all((s.reference, s.input, s.disturbances) == (30.0, 12.0, (1.0,)) for s in filled)
+    levels = [y, *(s.output for s in filled), after]
     np.testing.assert_allclose(np.diff(levels), (after - y) / (missing + 1), atol=1e-9)
 
 
 def test_a_stand_in_has_all_signals_of_a_plant_with_several() -> None:
     before = Sample(3, 3, (1.0, 2.0), (3.5, 4.0), (5.0,))
-    found = stand_ins(before, Sample(5, 5, (1.0, 2.0), (7.5, 2.0), (6.0,)))
-    assert found == [Sample(4, 4, (1.0, 2.0), (5.5, 3.0), (5.0,), seen=False)]
+    filled = stand_ins(before, Sample(5, 5, (1.0, 2.0), (7.5, 2.0), (6.0,)))
+    assert filled == [Sample(4, 4, (1.0, 2.0), (5.5, 3.0), (5.0,), seen=False)]
 
 
 @pytest.mark.parametrize("length", [1, 2, 3])
@@ -89,20 +89,20 @@ def test_the_law_says_when_a_set_point_moved_that_nobody_saw(
             assert [s.index for s in lost] == [s.index for s in true]
             misplaced = sum(a.reference != b.reference for a, b in zip(lost, true, strict=True))
             assert misplaced <= length // 3  # of three, nobody saw most of what the step did
-            held = simulated_session[begin - 1].input
-            off, off_held = (
+            held_input = simulated_session[begin - 1].input
+            filled_error, held_error = (
                 np.linalg.norm([a.input - b for a, b in zip(true, inputs, strict=True)])
-                for inputs in ([s.input for s in lost], [held] * length)
+                for inputs in ([s.input for s in lost], [held_input] * length)
             )
-            assert misplaced or off < 0.5 * off_held
+            assert misplaced or filled_error < 0.5 * held_error
             assert not any(s.seen for s in lost)
 
 
 def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[[int], Window]) -> None:
     """And a lost input is a third as wrong as a held one, all of the seven hours' steps taken together."""
     placed = []
-    off = []
-    off_held = []
+    filled_errors = []
+    held_errors = []
     for number in (1, 2, 5, 9, 14, 20, 27):
         samples = samples_of(recorded_hour(number))
         steps = [k for k in range(61, len(samples) - 3) if samples[k].reference != samples[k - 1].reference]
@@ -115,11 +115,11 @@ def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[
             *lost, _ = filler.take(samples[first + length])
             true = samples[first : first + length]
             placed.append([s.reference for s in lost] == [s.reference for s in true])
-            off += [a.input - b.input for a, b in zip(lost, true, strict=True)]
-            off_held += [samples[first - 1].input - s.input for s in true]
+            filled_errors += [a.input - b.input for a, b in zip(lost, true, strict=True)]
+            held_errors += [samples[first - 1].input - s.input for s in true]
     assert len(placed) > 200
     assert np.mean(placed) > 0.95
-    assert np.linalg.norm(off) < np.linalg.norm(off_held) / 3
+    assert np.linalg.norm(filled_errors) < np.linalg.norm(held_errors) / 3
 
 
 def test_nothing_fills_a_gap_behind_a_clock_that_was_set_back() -> None:
@@ -152,12 +152,12 @@ def test_samples_lost_at_random_change_little_and_restart_nothing(
     last = verdicts_of(outcomes)[-1]
     whole = verdicts_of(simulated_outcomes)[-1]
     assert abs(last.inside_y - whole.inside_y) < 0.1
-    of = {c.name: c.parameters for c in whole.modelled}
+    whole_parameters = {c.name: c.parameters for c in whole.modelled}
     for candidate in last.modelled:
         for name, value in candidate.parameters.items():
             # Two in a hundred samples fewer shift an estimate by a part of its standard error, 1 to 5 % here.
             scale = candidate.parameters.model.declared[name].scale
-            assert value == pytest.approx(of[candidate.name][name], abs=0.05 * scale)
+            assert value == pytest.approx(whole_parameters[candidate.name][name], abs=0.05 * scale)
 
 
 def test_a_step_that_falls_into_a_gap_ends_the_same_window(simulated_session: list[Sample]) -> None:
@@ -172,8 +172,8 @@ def test_a_step_that_falls_into_a_gap_ends_the_same_window(simulated_session: li
 
 def test_behind_a_long_gap_windows_start_over(simulated_session: list[Sample]) -> None:
     def oldest_behind(missing: int) -> int:
-        rest = [s for s in simulated_session if not 300 <= s.index < 300 + missing]
-        return min(v.first for v in verdicts_of(outcomes_of(rest[:420])) if v.sample > 310)
+        received = [s for s in simulated_session if not 300 <= s.index < 300 + missing]
+        return min(v.first for v in verdicts_of(outcomes_of(received[:420])) if v.sample > 310)
 
     assert oldest_behind(LONGEST) < 300
     assert oldest_behind(LONGEST + 1) == 300 + LONGEST + 1
@@ -183,26 +183,26 @@ def test_what_stands_in_for_a_reading_is_not_fitted(simulated_session: list[Samp
     """The values in its place may be anything: the parameters are the same to the last bit."""
     samples = simulated_session[:400]
     lost = {50, 51, 180, 181, 182, 300}
-    found = []
+    matches = []
     for wrong in (0.0, 25.0):
         window = Window.from_samples(
             [replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s for s in samples]
         )
-        found.append(match(window, start=Peltier.model().parameters()))
-    assert found[0].accepted
-    assert found[0].parameters == found[1].parameters
-    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
-    assert found[0].chi2 == found[1].chi2
+        matches.append(match(window, start=Peltier.model().parameters()))
+    assert matches[0].accepted
+    assert matches[0].parameters == matches[1].parameters
+    np.testing.assert_array_equal(matches[0].covariance, matches[1].covariance)
+    assert matches[0].chi2 == matches[1].chi2
     whole = match(Window.from_samples(samples), start=Peltier.model().parameters())
-    assert found[0].chi2 == pytest.approx(whole.chi2, rel=0.05)
+    assert matches[0].chi2 == pytest.approx(whole.chi2, rel=0.05)
 
 
 def test_a_window_with_too_few_samples_is_not_matched(simulated_session: list[Sample]) -> None:
     window = Window.from_samples([replace(s, seen=s.index % 8 != 3) for s in simulated_session[:400]])
     assert window.share_seen == 0.875
-    found = match(window, start=Peltier.model().parameters())
-    assert not found.accepted
-    assert found.reason == "only 88% of the window's samples were received; a match needs 90%"
+    refused_match = match(window, start=Peltier.model().parameters())
+    assert not refused_match.accepted
+    assert refused_match.reason == "only 88% of the window's samples were received; a match needs 90%"
 
 
 def test_a_filter_runs_through_a_lost_sample_and_knows_less(simulated_session: list[Sample]) -> None:
@@ -242,8 +242,8 @@ def test_a_window_says_what_it_holds_wherever_it_goes(simulated_session: list[Sa
     assert window.part(7, 9).seen is None
     start = Peltier.model().parameters()
     request = MatchRequest(19, 30.0, window, start, None)
-    again = request_from(request_message(request, 0))
-    np.testing.assert_array_equal(again.window.seen, window.seen)
+    decoded = request_from(request_message(request, 0))
+    np.testing.assert_array_equal(decoded.window.seen, window.seen)
     message = request_message(request, 0)
     message.lost = [99]
     with pytest.raises(SignalError, match=r"lost samples \[99\] lie outside its window of 20 samples"):

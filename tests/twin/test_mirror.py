@@ -38,10 +38,10 @@ def test_with_the_plants_own_parameters_nothing_is_left() -> None:
 
 def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
     window = plant_run()
-    other = HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
-    mirror = Mirror(other)
+    parameters = HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
+    mirror = Mirror(parameters)
     driven = [mirror.push(s).driven_output[0] for s in samples_of(window)]
-    simulated = simulate_driven(other, window.input, states=begin(other, float(window.output[0])))
+    simulated = simulate_driven(parameters, window.input, states=begin(parameters, float(window.output[0])))
     np.testing.assert_array_equal(driven, simulated.output)
 
 
@@ -118,19 +118,19 @@ def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samp
     always = Mirror(plant)
     late = Mirror(RIG)
     for sample in samples[:-1]:
-        there = always.push(sample)
+        always_state = always.push(sample)
         late.push(sample)
     driven = late.push(samples[-1]).driven_output[0]
-    there = always.push(samples[-1])
-    away = abs(there.driven_states["sink"] - plant["ambient"])
+    always_state = always.push(samples[-1])
+    away = abs(always_state.driven_states["sink"] - plant["ambient"])
     assert away > 3.0
     late.parameters = plant
     following = dataclasses.replace(samples[-1], index=samples[-1].index + 1)
-    here = late.push(following)
-    there = always.push(following)
+    late_state = late.push(following)
+    always_state = always.push(following)
     for twin in ("closed_states", "driven_states"):
-        assert abs(getattr(here, twin)["sink"] - getattr(there, twin)["sink"]) < away / 10
-    assert abs(here.driven_output[0] - driven) < 2.0
+        assert abs(getattr(late_state, twin)["sink"] - getattr(always_state, twin)["sink"]) < away / 10
+    assert abs(late_state.driven_output[0] - driven) < 2.0
 
 
 def test_without_a_loop_only_the_driven_twin_is_there() -> None:

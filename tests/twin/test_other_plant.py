@@ -37,10 +37,12 @@ def test_its_parameters_are_found(outcomes: list[Outcome]) -> None:
     matches = [o.match.match for o in outcomes if o.match is not None]
     assert len(matches) >= 4
     assert all(m.accepted for m in matches)
-    for found in matches:
-        for i, name in enumerate(found.free):
+    for accepted_match in matches:
+        for i, name in enumerate(accepted_match.free):
             # Four standard errors: with three parameters in five matches one in 4000 suites would fail.
-            assert abs(found.parameters[name] - TRUTH[name]) < 4 * found.standard_errors[i], name
+            assert (
+                abs(accepted_match.parameters[name] - TRUTH[name]) < 4 * accepted_match.standard_errors[i]
+            ), name
 
 
 def test_its_family_is_judged(outcomes: list[Outcome]) -> None:

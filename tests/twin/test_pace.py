@@ -104,9 +104,9 @@ def test_one_setting_lengthens_all_and_what_is_given_wins() -> None:
     assert settings.schedule.span == 300
     assert (settings.schedule.capacity, settings.schedule.gap) == (1440, 10)
     assert settings.forecasts.horizons == tuple(2 * h for h in HORIZONS)
-    own = settings_from(twin_values("here", given_ | {"forecasts.horizons": [5.0, 50.0]}))
-    assert own.forecasts.horizons == (5.0, 50.0)
-    assert settings_from(values_of(own)) == own
+    with_horizons = settings_from(twin_values("here", given_ | {"forecasts.horizons": [5.0, 50.0]}))
+    assert with_horizons.forecasts.horizons == (5.0, 50.0)
+    assert settings_from(values_of(with_horizons)) == with_horizons
 
 
 @pytest.mark.parametrize("period", [0.005, 0.01, 1.0, 60.0, 3600.0])
@@ -114,8 +114,8 @@ def test_settings_are_recorded_as_they_are(period: float, monkeypatch: pytest.Mo
     for plant in (Lag, House):
         monkeypatch.setitem(PLANTS, plant.name, plant)
         usual = TwinSettings.of(plant, period=period)
-        again = settings_from(values_of(usual))
-        assert (again.schedule, again.forecasts) == (usual.schedule, usual.forecasts)
+        read_back = settings_from(values_of(usual))
+        assert (read_back.schedule, read_back.forecasts) == (usual.schedule, usual.forecasts)
 
 
 def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
@@ -124,12 +124,12 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     monkeypatch.setitem(PLANTS, "lag", Lag)
     recorded = {p.name: p.default for p in twin_table(Lag) if not p.name.startswith("forecasts.")}
     recorded |= {"period": 30.0}
-    now = settings_from(recorded_values("here", recorded)).forecasts
+    scaled_forecasts = settings_from(recorded_values("here", recorded)).forecasts
     del recorded["schedule.scale"]
     before = settings_from(recorded_values("here", recorded))
     assert before.forecasts.horizons == (60.0, 360.0, 1800.0)
     assert (before.forecasts.every, before.forecasts.memory) == (180.0, 10800.0)
-    assert now.every == 300.0
+    assert scaled_forecasts.every == 300.0
 
 
 def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> list[Verdict]:
@@ -140,20 +140,20 @@ def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> l
     truth = plant.model().parameters(gain=2.3)
     acting = np.where(np.arange(u.size) < lost, u, 0.0)
     run = simulate_driven(truth, acting, states=begin(truth, 0.0), period=period)
-    seen = run.output + random.normal(0.0, plant.output.noise, u.size)
-    came = samples_of(Window(np.zeros(u.size), seen, u, period=period))
+    readings = run.output + random.normal(0.0, plant.output.noise, u.size)
+    came = samples_of(Window(np.zeros(u.size), readings, u, period=period))
     return list(judge_samples("one", came, TwinSettings.of(plant, period=period)).verdicts)
 
 
 @pytest.mark.parametrize("samples", [5, 60])
 def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
     """Sample by sample. No fault is named on the healthy plants."""
-    told = [
+    figures_by_plant = [
         [(v.sample, v.level, v.nominal, v.leader) for v in watched(plant, lag, samples)]
         for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK))
     ]
-    assert told[0] == told[1]
-    levels = {level for _, level, *_ in told[0]}
+    assert figures_by_plant[0] == figures_by_plant[1]
+    levels = {level for _, level, *_ in figures_by_plant[0]}
     assert TrustLevel.TRUSTED in levels
     assert TrustLevel.FAULT not in levels
 

@@ -41,18 +41,18 @@ def test_a_step_test_of_the_kit_forecasts_its_second_half(
     Between there and the end the output changes by 20 °C; who says that it stays is off by ten.
     """
     window = kit_recording("one_heater_600s.csv")
-    twin, off = foretold(window, TwinSettings.of(TCLab, law=None), 400, 150)
+    twin, errors = foretold(window, TwinSettings.of(TCLab, law=None), 400, 150)
     assert twin.discriminator.forecaster.leader is not None
     stays = window.output[401:551] - window.output[400]
     assert np.sqrt(np.mean(np.square(stays))) > 8.0
-    assert np.sqrt(np.mean(np.square(off))) < 2.0
+    assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
 def test_a_switched_incubator_forecasts_five_minutes(incubator_folder: Path) -> None:
     """Half an hour of on and off tells the next five minutes to a few steps of the sensor."""
     window = read_run(incubator_folder, SECOND)
-    twin, off = foretold(window, TwinSettings.of(Incubator, period=window.period), 700, 100)
+    twin, errors = foretold(window, TwinSettings.of(Incubator, period=window.period), 700, 100)
     assert twin.settings.law is None
     assert twin.discriminator.forecaster.leader is not None
     assert np.ptp(window.output[700:801]) > 4.0
-    assert np.sqrt(np.mean(np.square(off))) < 0.5
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5

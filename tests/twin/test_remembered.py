@@ -24,9 +24,12 @@ def remembered(**factors: float) -> list[Candidate]:
     """A centre so many times off the rig, known to some 8 %, and two sessions near it."""
     centre = RIG.replace(**{name: RIG[name] * factor for name, factor in factors.items()})
     spread = [1.5 if name == "ambient" else 0.08 * centre[name] for name in FREE]
-    near = [centre.replace(conductance=centre["conductance"] * by) for by in (0.95, 1.05)]
+    near = [centre.replace(conductance=centre["conductance"] * share) for share in (0.95, 1.05)]
     named = zip(("remembered", "monday", "tuesday"), (centre, *near), strict=True)
-    return [Candidate(name, 50.0, each, None, FREE, np.diag(np.square(spread))) for name, each in named]
+    return [
+        Candidate(name, 50.0, parameters, None, FREE, np.diag(np.square(spread)))
+        for name, parameters in named
+    ]
 
 
 @cache
@@ -49,9 +52,9 @@ def test_matches_are_made_in_the_remembered_structure_and_agree_with_one_another
     twin, verdicts = judged()
     matched = [c.parameters for c in verdicts[-1].candidates if c.last >= c.first and c.chosen_order]
     assert len(matched) >= 3
-    assert {each.model for each in matched} == {RIG.model}
+    assert {parameters.model for parameters in matched} == {RIG.model}
     for name in ("seebeck", "conductance", "heat_capacity"):
-        values = np.array([each[name] for each in matched])
+        values = np.array([parameters[name] for parameters in matched])
         assert values.max() / values.min() <= 1.25, name
         assert np.median(values) == pytest.approx(RIG[name], rel=0.1), name
     assert (
@@ -61,15 +64,15 @@ def test_matches_are_made_in_the_remembered_structure_and_agree_with_one_another
 
 def test_the_same_samples_and_candidates_give_the_same_verdicts() -> None:
     twin = Twin(TwinSettings(), remembered())
-    again = [
+    second_run = [
         v for sample in samples_of(recorded(RIG, seed=5).part(0, 400)) for v in twin.push(sample).verdicts
     ]
-    for one, other in zip(again, judged()[1], strict=False):
-        assert (one.sample, one.leader, one.level, one.miss_y) == (
-            other.sample,
-            other.leader,
-            other.level,
-            pytest.approx(other.miss_y, abs=0, nan_ok=True),
+    for verdict, expected in zip(second_run, judged()[1], strict=False):
+        assert (verdict.sample, verdict.leader, verdict.level, verdict.miss_y) == (
+            expected.sample,
+            expected.leader,
+            expected.level,
+            pytest.approx(expected.miss_y, abs=0, nan_ok=True),
         )
 
 
@@ -104,7 +107,9 @@ def test_settings_that_ask_for_a_structure_keep_it() -> None:
 def test_remembered_twins_of_another_plant_are_refused() -> None:
     from twinmatch.plants import TCLab
 
-    of = TCLab.model()
-    other = Candidate("kit", 40.0, of.parameters(), None, of.structure.free, np.eye(len(of.structure.free)))
+    model = TCLab.model()
+    kit_candidate = Candidate(
+        "kit", 40.0, model.parameters(), None, model.structure.free, np.eye(len(model.structure.free))
+    )
     with pytest.raises(TwinError, match=r"parameters of .*; give"):
-        TwinSettings().informed_by([replace(other)])
+        TwinSettings().informed_by([replace(kit_candidate)])

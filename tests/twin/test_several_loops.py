@@ -73,25 +73,25 @@ def test_a_family_of_several_loops_is_compared_by_gaps_of_matrices(in_loop: list
 
 
 def test_the_gap_of_two_twins_is_that_of_their_plants(in_loop: list[Verdict]) -> None:
-    other = TRUTH.replace(exchange=0.03)
+    other_twin = TRUTH.replace(exchange=0.03)
     loop = LoopConditions(None, spans_of(Heaters), 240, 1.0)
-    found = plant_gaps((TRUTH, other), [(40.0, 40.0)], loop)
-    systems = [StateSpace.of(linearised(each, [40.0, 40.0], 1.0)) for each in (TRUTH, other)]
+    gaps = plant_gaps((TRUTH, other_twin), [(40.0, 40.0)], loop)
+    systems = [StateSpace.of(linearised(parameters, [40.0, 40.0], 1.0)) for parameters in (TRUTH, other_twin)]
     scaled = [system.scaled(loop.scales.output, loop.scales.input) for system in systems]
-    assert found.matrix[0, 1] == pytest.approx(matrix_nu_gap(*scaled), rel=1e-8)
-    assert found.matrix[0, 1] > 0.01
+    assert gaps.matrix[0, 1] == pytest.approx(matrix_nu_gap(*scaled), rel=1e-8)
+    assert gaps.matrix[0, 1] > 0.01
     assert in_loop[-1].nu_gap[0][0] == 0.0
 
 
 def test_trust_is_said_of_each_signal(in_loop: list[Verdict]) -> None:
     last = in_loop[-1]
-    assert [each.signal for each in last.signals] == ["first", "second", "first_power", "second_power"]
+    assert [trust.signal for trust in last.signals] == ["first", "second", "first_power", "second_power"]
     assert last.trusted
     outputs = last.signals[:2]
-    assert {*last.trusted} <= set.intersection(*({*each.trusted} for each in outputs))
-    assert last.miss_y == max(each.miss for each in outputs)
-    assert last.inside_y == min(each.inside for each in outputs)
-    least = np.min([each.coverage for each in last.signals], axis=0)
+    assert {*last.trusted} <= set.intersection(*({*trust.trusted} for trust in outputs))
+    assert last.miss_y == max(trust.miss for trust in outputs)
+    assert last.inside_y == min(trust.inside for trust in outputs)
+    least = np.min([trust.coverage for trust in last.signals], axis=0)
     assert last.leading is not None
     np.testing.assert_allclose(last.leading.coverage, least, atol=0.2)
 
@@ -105,12 +105,12 @@ def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
         samples[k] = Sample(k, samples[k].stamp, samples[k].references, (y[0], math.nan), u)
     twin = Twin(TwinSettings.of(Heaters, law=None))
     outcomes = [twin.push(sample) for sample in samples]
-    told = [v for outcome in outcomes for v in outcome.verdicts if v.fault]
-    assert {(v.fault, v.fault_signal) for v in told} == {("sensor-implausible", "second")}
-    assert told[0].sample <= 205
-    estimates = [one for outcome in outcomes[:240] for one in outcome.estimates]
-    assert {one.signal for one in estimates} == {"second"}
-    assert max(abs(one.value - right[one.sample].outputs[1]) for one in estimates) < 3.0
+    faulty_verdicts = [v for outcome in outcomes for v in outcome.verdicts if v.fault]
+    assert {(v.fault, v.fault_signal) for v in faulty_verdicts} == {("sensor-implausible", "second")}
+    assert faulty_verdicts[0].sample <= 205
+    estimates = [estimate for outcome in outcomes[:240] for estimate in outcome.estimates]
+    assert {estimate.signal for estimate in estimates} == {"second"}
+    assert max(abs(estimate.value - right[estimate.sample].outputs[1]) for estimate in estimates) < 3.0
     (alarm,) = twin.discriminator.monitor.alarms
     assert alarm.last is not None
     assert alarm.last <= 241
@@ -127,7 +127,7 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest
     assert not any(verdict.fault for verdict in verdicts)
     later = [verdict.level.value for verdict in verdicts if verdict.sample >= 1200]
     assert later.count("trusted") >= 0.8 * len(later)
-    inside = np.array([each.inside for each in verdicts[-1].signals])
+    inside = np.array([trust.inside for trust in verdicts[-1].signals])
     assert inside.shape == (2,)
 
 
@@ -137,32 +137,32 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -
     loop = Loop(TCLabBoth)
     truth = typical()
     settings = TwinSettings.of(TCLabBoth)
-    told = Twin(replace(settings, read_through=("temperature",)))
+    informed = Twin(replace(settings, read_through=("temperature",)))
     plain = Twin(settings)
     random = np.random.default_rng(5)
     states = begin(truth, [23.0, 23.0])
-    known = dict[str, float]()
+    newest_estimates = dict[str, float]()
     errors: list[list[float]] = []
     for k in range(1100):
         level = 35.0 if k < 300 else 45.0
         y = readings(truth, states) + 0.04 * random.standard_normal(2) + (5.0 if k >= 900 else 0.0, 0.0)
-        taken = (known.get("temperature", math.nan), math.nan)
-        loop.measure(tuple(y.tolist()), k * 10**9, taken=taken)
+        given_to_law = (newest_estimates.get("temperature", math.nan), math.nan)
+        loop.measure(tuple(y.tolist()), k * 10**9, taken=given_to_law)
         sample = loop.tick(k * 10**9, lambda _, level=level: (level, 40.0))  # type: ignore[misc]
         assert sample is not None
-        outcome = told.push(sample)
+        outcome = informed.push(sample)
         plain.push(sample)
-        known = {each.signal: each.value for each in outcome.estimates}
+        newest_estimates = {estimate.signal: estimate.value for estimate in outcome.estimates}
         states = advance(truth, states, np.array(sample.inputs), 1.0)
-        if known:
-            followed = [twin.discriminator.forecaster for twin in (told, plain)]
+        if newest_estimates:
+            followed = [twin.discriminator.forecaster for twin in (informed, plain)]
             for forecaster in followed:
                 forecaster._catch_up()
-            errors.append([abs(each._controller[0] - loop._pids[0].state[0]) for each in followed])
+            errors.append([abs(follower._controller[0] - loop._pids[0].state[0]) for follower in followed])
     assert len(errors) > 150
-    assert told.discriminator._stood_in == 1099
-    told.push(Sample(0, 0, sample.references, sample.outputs, sample.inputs))  # of another session
-    assert told.discriminator._stood_in is None
+    assert informed.discriminator._stood_in == 1099
+    informed.push(Sample(0, 0, sample.references, sample.outputs, sample.inputs))  # of another session
+    assert informed.discriminator._stood_in is None
     # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
     right, wrong = np.array(errors)[80:].max(axis=0)
     assert right < 0.1 * wrong

@@ -60,10 +60,10 @@ def closed() -> Window:
 
 def matched() -> Candidate:
     window = driven().part(0, MATCHED - 1)
-    found = match(window, start=Heaters.model().parameters(), law=None)
-    assert found.status.value == "accepted", found.reason
-    free, covariance = found.of_parameters()
-    return Candidate("matched", 40.0, found.parameters, window, free, covariance)
+    fitted = match(window, start=Heaters.model().parameters(), law=None)
+    assert fitted.status.value == "accepted", fitted.reason
+    free, covariance = fitted.of_parameters()
+    return Candidate("matched", 40.0, fitted.parameters, window, free, covariance)
 
 
 @cache
@@ -91,7 +91,10 @@ def test_who_has_the_right_physics_leads() -> None:
     wrong, right = forecaster.scores
     assert right.gain > wrong.gain
     assert all(skill > 0.3 for skill in right.persistence_skill)
-    assert all(more > less for more, less in zip(right.arx_skill[1:], wrong.arx_skill[1:], strict=True))
+    assert all(
+        right_skill > wrong_skill
+        for right_skill, wrong_skill in zip(right.arx_skill[1:], wrong.arx_skill[1:], strict=True)
+    )
     assert forecaster.confidence > 0.9
 
 
@@ -101,19 +104,21 @@ def test_each_output_has_a_band_of_its_own_that_holds() -> None:
     window = driven()
     shares = []
     widths = []
-    for at, outlook in outlooks.items():
-        if at + 150 >= COUNT:
+    for newest, outlook in outlooks.items():
+        if newest + 150 >= COUNT:
             continue
-        forecast = outlook.forecast(window.inputs[at + 1 : at + 151])
+        forecast = outlook.forecast(window.inputs[newest + 1 : newest + 151])
         assert [band.mean.shape for band in forecast.outputs] == [(150,), (150,)]
-        assert [band.low.tolist() for band in forecast.inputs] == window.inputs[at + 1 : at + 151].T.tolist()
-        came = window.outputs[at + 1 : at + 151].T
+        assert [band.low.tolist() for band in forecast.inputs] == window.inputs[
+            newest + 1 : newest + 151
+        ].T.tolist()
+        came = window.outputs[newest + 1 : newest + 151].T
         shares.append(
             [np.mean((b.low <= y) & (y <= b.high)) for b, y in zip(forecast.outputs, came, strict=True)]
         )
         widths.append([np.mean(b.high - b.low) for b in forecast.outputs])
-    held = np.mean(shares, axis=0)
-    assert ((held > 0.8) & (held < 0.99)).all(), held
+    coverage = np.mean(shares, axis=0)
+    assert ((coverage > 0.8) & (coverage < 0.99)).all(), coverage
     first, second = np.mean(widths, axis=0)
     assert second > 2.0 * first
     assert 0.75 < np.mean(inside) < 0.99
@@ -155,11 +160,11 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
 
 def test_the_structure_that_the_samples_support_is_chosen() -> None:
     models = [Heaters.model("apart"), Heaters.model("all")]
-    found = choose_structure(driven().part(0, 599), models, law=None)
-    assert found.chosen == "all"
-    apart, whole = found.scores
+    choice = choose_structure(driven().part(0, 599), models, law=None)
+    assert choice.chosen == "all"
+    apart, whole = choice.scores
     for free, error in zip(models[1].structure.free, whole.fitted.covariance.diagonal() ** 0.5, strict=True):
-        assert abs(found.parameters[free] - TRUTH[free]) < 4.0 * error, free
+        assert abs(choice.parameters[free] - TRUTH[free]) < 4.0 * error, free
     assert np.isnan(whole.fit[1])
     assert whole.fit[0] > 0.95 > apart.fit[0]
     assert whole.off < 0.5 * apart.off
@@ -174,10 +179,10 @@ def test_both_twins_run_beside_it() -> None:
     steps = np.repeat([[45.0, 38.0], [55.0, 40.0]], 60, axis=0)
     run = simulate_closed_loop(TRUTH, steps, states=begin(TRUTH, [40.0, 35.0]), law=LAW)
     mirror = Mirror(TRUTH, LAW)
-    other = Mirror(WRONG, None, period=PERIOD)
+    wrong_mirror = Mirror(WRONG, None, period=PERIOD)
     for sample in samples_of(Window(steps, run.outputs, run.inputs, period=PERIOD)):
         state = mirror.push(sample)
-        alone = other.push(sample)
+        alone = wrong_mirror.push(sample)
         np.testing.assert_allclose(state.closed_output, sample.outputs, atol=1e-9)
         np.testing.assert_allclose(state.closed_input, sample.inputs, atol=1e-9)
         np.testing.assert_allclose(state.driven_residual_y, [0.0, 0.0], atol=1e-9)

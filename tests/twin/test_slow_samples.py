@@ -20,13 +20,13 @@ def recording(size: int = 800, shift: float = 0.0) -> list[Sample]:
     rng = np.random.default_rng(7)
     levels = (0.0, 6.0, -3.0, 8.0, 2.0, -7.0, 5.0)
     x = 0.0
-    kept = np.exp(-PERIOD / LAG)
+    decay = np.exp(-PERIOD / LAG)
     samples = []
     for k in range(size):
         u = levels[k // 100 % len(levels)]
         y = x + rng.normal(0.0, Lag.output.noise) + (shift if k >= 750 else 0.0)
         samples.append(Sample(k, round(k * PERIOD * 1e9), 0.0, float(y), u))
-        x = kept * x + (1.0 - kept) * GAIN * u  # exact for a constant input
+        x = decay * x + (1.0 - decay) * GAIN * u  # exact for a constant input
     return samples
 
 

@@ -41,9 +41,9 @@ def chosen(fits: StructureFits, window: Window) -> StructureChoice | None:
 
 def now(fits: StructureFits, window: Window) -> Parameters:
     fits.push(window, excited=False)
-    found = fits.plant_now()
-    assert found is not None
-    return found
+    parameters = fits.plant_now()
+    assert parameters is not None
+    return parameters
 
 
 def rich(fits: StructureFits) -> Parameters:
@@ -63,8 +63,8 @@ def hour() -> Window:
 
 
 def test_the_plant_file_says_what_is_watched() -> None:
-    own = [model for model in watched(Peltier) if model.structure.external is None]
-    assert [model.structure_name for model in own] == [
+    without_external = [model for model in watched(Peltier) if model.structure.external is None]
+    assert [model.structure_name for model in without_external] == [
         "held sink",
         "sink with mass",
         "sink with mass, free ambient",
@@ -76,14 +76,14 @@ def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Wi
     figures = []
     for _ in range(2):
         fits = choices_only()
-        found = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 1000, 100)]
-        assert [c.samples for c in found if c] == [(0, 299), (300, 599), (600, 899)]
+        choices = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 1000, 100)]
+        assert [c.samples for c in choices if c] == [(0, 299), (300, 599), (600, 899)]
         choice = fits.choice
-        assert choice is found[8]
+        assert choice is choices[8]
         assert choice is not None
         assert choice.chosen == "held sink"
         np.testing.assert_array_equal(
-            choice.score.evidence, np.concatenate([c.score.held_back for c in found if c])
+            choice.score.evidence, np.concatenate([c.score.held_back for c in choices if c])
         )
         figures.append((choice.parameters, choice.score.evidence.tolist()))
     assert figures[0] == figures[1]
@@ -93,8 +93,8 @@ def test_times_are_scaled_for_slow_samples(hour: Window) -> None:
     """At 5 s, 1500 s are 300 samples; the forecasts' horizons are counted in the same way."""
     times = (1500.0, 1500.0, 1500.0)
     fits = StructureFits(TWO, Noise.of(Peltier), None, 5.0, matched=TWO[1], choice=times)
-    found = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 700, 100)]
-    assert [c.samples for c in found if c] == [(0, 299), (300, 599)]
+    choices = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 700, 100)]
+    assert [c.samples for c in choices if c] == [(0, 299), (300, 599)]
 
 
 def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
@@ -114,21 +114,21 @@ def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
 def test_stand_ins_are_not_fitted_wherever_windows_were_joined(hour: Window) -> None:
     """The values in the place of lost samples may be anything: the candidates stay the same, bit for bit."""
     lost = {150, 330, 331, 470}
-    found = []
+    candidates = []
     for wrong in (0.0, 25.0):
         fits = candidates_only()
-        taken = [
+        samples = [
             replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s
             for s in samples_of(hour.part(0, 599))
         ]
         for first in (0, 200, 400):
-            fits.push(Window.from_samples(taken[max(first - 50, 0) : first + 200]), excited=True)
-        kept = fits._fitted.window
-        assert kept is not None
-        assert kept.lost == sorted(lost)
-        found.append([(c.name, c.parameters) for c in fits.candidates])
-    assert found[0]
-    assert found[0] == found[1]
+            fits.push(Window.from_samples(samples[max(first - 50, 0) : first + 200]), excited=True)
+        fitted_window = fits._fitted.window
+        assert fitted_window is not None
+        assert fitted_window.lost == sorted(lost)
+        candidates.append([(c.name, c.parameters) for c in fits.candidates])
+    assert candidates[0]
+    assert candidates[0] == candidates[1]
 
 
 def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
@@ -146,9 +146,9 @@ def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(seed: int) -> None:
     """Nearer by far than a rig whose plate holds a third more heat."""
-    found = now(candidates_only(), recorded(RIG, seed))
-    assert found.model.structure_name == RICHEST
-    assert apart(found, RIG) < 0.5 * apart(RIG.replace(heat_capacity=40.0), RIG)
+    plant_now = now(candidates_only(), recorded(RIG, seed))
+    assert plant_now.model.structure_name == RICHEST
+    assert apart(plant_now, RIG) < 0.5 * apart(RIG.replace(heat_capacity=40.0), RIG)
 
 
 def test_the_plant_now_follows_a_plant_that_changes() -> None:
@@ -176,9 +176,9 @@ def test_after_a_fault_the_plant_now_starts_over() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_candidate_is_near_the_plant_that_was_recorded(seed: int) -> None:
     fits = candidates_only()
-    other = RIG.replace(heat_capacity=40.0)
+    heavier_plate = RIG.replace(heat_capacity=40.0)
     fits.push(recorded(RIG, seed), excited=True)
-    assert apart(rich(fits), RIG) < 0.5 * apart(other, RIG)
+    assert apart(rich(fits), RIG) < 0.5 * apart(heavier_plate, RIG)
 
 
 def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> None:
@@ -210,9 +210,9 @@ def test_a_structure_that_is_watched_later_competes_at_once() -> None:
     early = candidates_only()
     early.push(window, excited=True)
     assert late == rich(early)
-    found = fits.plant_now()
-    assert found is not None
-    assert found.model is RIG.model
+    plant_now = fits.plant_now()
+    assert plant_now is not None
+    assert plant_now.model is RIG.model
 
 
 def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:

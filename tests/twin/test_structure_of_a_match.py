@@ -64,9 +64,9 @@ def structure_of_leader(verdict: Verdict) -> str:
 
 @pytest.mark.parametrize(("late", "seed"), [(2, 1), (3, 2)])
 def test_a_dead_time_is_found(late: int, seed: int) -> None:
-    found = judged(kit(late, seed))
-    first = found.matches[0].match
-    last = found.verdicts[-1]
+    judgement = judged(kit(late, seed))
+    first = judgement.matches[0].match
+    last = judgement.verdicts[-1]
     assert first.accepted
     assert structure_of(first) == LATE
     assert first.parameters["dead_time"] == pytest.approx(PERIOD * late, abs=PERIOD / 3.0)
@@ -76,9 +76,9 @@ def test_a_dead_time_is_found(late: int, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_without_one_the_first_structure_stays(seed: int) -> None:
-    found = judged(kit(0, seed))
-    assert {structure_of(report.match) for report in found.matches} == {"sensor lag"}
-    assert LATE not in {score.name for verdict in found.verdicts for score in verdict.forecasts}
+    judgement = judged(kit(0, seed))
+    assert {structure_of(report.match) for report in judgement.matches} == {"sensor lag"}
+    assert LATE not in {score.name for verdict in judgement.verdicts for score in verdict.forecasts}
 
 
 def request(window: Window) -> MatchRequest:
@@ -92,9 +92,9 @@ def test_a_structure_is_chosen_once_and_by_the_request_alone() -> None:
     assert structure_of(report.match) == LATE
     assert "in the structure 'sensor lag'" in report.match.reason
     assert repr(carry_out(request(window), SETTINGS)) == repr(report)
-    known = report.match.parameters
-    again = request(window)._replace(start=known, incumbent=known)
-    assert structure_of(carry_out(again, SETTINGS).match) == LATE
+    matched = report.match.parameters
+    second_request = request(window)._replace(start=matched, incumbent=matched)
+    assert structure_of(carry_out(second_request, SETTINGS).match) == LATE
     before = request(window)._replace(incumbent=SETTINGS.start)
     assert structure_of(carry_out(before, SETTINGS).match) == "sensor lag"
 
@@ -109,16 +109,16 @@ def test_who_says_what_is_free_has_chosen() -> None:
 @pytest.mark.parametrize("name", ["mpc_1", "mpc_44"])
 def test_a_real_kit_whose_table_holds_the_input_early_is_matched(name: str) -> None:
     rows = kit_rows("tclab_other", name)
-    found = judged(
+    judgement = judged(
         [Sample(k, round(r["Time"] * 1e9), r["T1"], r["T1"], r["Q1"], (r["Q2"],)) for k, r in enumerate(rows)]
     )
-    (report,) = found.matches
+    (report,) = judgement.matches
     assert report.match.status is Status.ACCEPTED, report.match.reason
     assert structure_of(report.match) == "sensor lag, radiation, neighbour, dead time"
-    last = found.verdicts[-1]
+    last = judgement.verdicts[-1]
     leader = next(score for score in last.forecasts if score.name == last.leader)
     assert leader.arx_skill[1] > 0.1, "60 s ahead it is better than an ARX model"
-    assert not any(verdict.fault for verdict in found.verdicts)
+    assert not any(verdict.fault for verdict in judgement.verdicts)
 
 
 class PromptKit(Plant, name="prompt_kit"):
@@ -155,13 +155,13 @@ def prompt_window(late: int) -> Window:
 @pytest.mark.parametrize("late", [2, 3])
 def test_a_match_names_the_dead_time_that_no_structure_has(late: int) -> None:
     asked = request(prompt_window(late))._replace(start=PROMPT.start)
-    found = carry_out(asked, PROMPT).match
-    assert found.status is Status.NOT_EXPLAINED
-    said, of, explained = found.reason.split("; ")[-1].partition(" s would explain ")
-    assert of, found.reason
+    refused_match = carry_out(asked, PROMPT).match
+    assert refused_match.status is Status.NOT_EXPLAINED
+    dead_time, separator, explained = refused_match.reason.split("; ")[-1].partition(" s would explain ")
+    assert separator, refused_match.reason
     assert int(explained.split("%")[0]) > 90
     # A dead time of a few states rounds off an exact one of two or three samples.
-    assert float(said.removeprefix("a dead time of about ")) == pytest.approx(late * PERIOD, abs=1.0)
+    assert float(dead_time.removeprefix("a dead time of about ")) == pytest.approx(late * PERIOD, abs=1.0)
 
 
 def test_no_dead_time_is_named_that_explains_nothing() -> None:
@@ -170,6 +170,6 @@ def test_no_dead_time_is_named_that_explains_nothing() -> None:
     wave = 10.0 * np.sin(np.arange(len(window)) / 7.0)[:, None]
     pushed = replace(window, outputs=window.outputs + wave)
     for asked, status in ((pushed, Status.NOT_EXPLAINED), (window, Status.ACCEPTED)):
-        found = carry_out(request(asked)._replace(start=PROMPT.start), PROMPT).match
-        assert found.status is status
-        assert "dead time" not in found.reason
+        matched = carry_out(request(asked)._replace(start=PROMPT.start), PROMPT).match
+        assert matched.status is status
+        assert "dead time" not in matched.reason

@@ -57,18 +57,18 @@ def test_evidence_adds_over_samples_that_follow() -> None:
 def test_a_structure_is_scored_on_what_was_measured_alone() -> None:
     """Whatever stands in for twenty lost outputs, figures and criteria are the same to the last bit."""
     window = recorded(RICH, 1).part(0, 599)
-    seen = np.ones(len(window), dtype=np.bool_)
-    seen[[*range(200, 205), *range(450, 465)]] = False
+    is_seen = np.ones(len(window), dtype=np.bool_)
+    is_seen[[*range(200, 205), *range(450, 465)]] = False
     scores = []
-    for off in (0.0, 40.0):
-        output = window.output + np.where(seen, 0.0, off)
-        lost = Window(window.reference, output, window.input, seen=seen)
+    for wrong_by in (0.0, 40.0):
+        output = window.output + np.where(is_seen, 0.0, wrong_by)
+        lost = Window(window.reference, output, window.input, seen=is_seen)
         scores.append(choose_structure(lost, SOME, thorough=False).scores)
-    for one, other in zip(*scores, strict=True):
-        np.testing.assert_array_equal(one.held_back, other.held_back)
-        assert (one.fitted.fit, one.fitted.cost) == (other.fitted.fit, other.fitted.cost)
+    for score, shifted_score in zip(*scores, strict=True):
+        np.testing.assert_array_equal(score.held_back, shifted_score.held_back)
+        assert (score.fitted.fit, score.fitted.cost) == (shifted_score.fitted.fit, shifted_score.fitted.cost)
     whole = choose_structure(window, SOME, thorough=False).scores
-    assert all(one.off != every.off for one, every in zip(scores[0], whole, strict=True))
+    assert all(score.off != whole_score.off for score, whole_score in zip(scores[0], whole, strict=True))
 
 
 def test_a_second_half_is_forecast_from_the_first(recorded_hour: Callable[[int], Window]) -> None:

@@ -20,8 +20,8 @@ SAMPLES = 1000
 
 def told(outcome: Outcome) -> str:
     """Everything that came of a sample, to the last bit."""
-    found = outcome.match
-    parts = [] if found is None else [found.match.covariance.tobytes().hex(), found.match.parameters]
+    report = outcome.match
+    parts = [] if report is None else [report.match.covariance.tobytes().hex(), report.match.parameters]
     return " ".join(map(repr, [*parts, *outcome.verdicts]))
 
 
@@ -42,7 +42,7 @@ def test_any_number_of_threads_gives_the_same_bits(simulated_outcomes: list[Outc
     threads = "4" if os.environ.get("OPENBLAS_NUM_THREADS") == "1" else "1"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
     command = [sys.executable, "-c", SCRIPT, str(SHIPPED)]
-    done = subprocess.run(command, capture_output=True, check=True, env=environment, timeout=300)
-    here = "".join(f"{told(outcome)}\n" for outcome in simulated_outcomes[:SAMPLES]).encode()
-    assert len(here) > 10_000
-    assert hashlib.sha256(done.stdout).digest() == hashlib.sha256(here).digest()
+    process = subprocess.run(command, capture_output=True, check=True, env=environment, timeout=300)
+    expected = "".join(f"{told(outcome)}\n" for outcome in simulated_outcomes[:SAMPLES]).encode()
+    assert len(expected) > 10_000
+    assert hashlib.sha256(process.stdout).digest() == hashlib.sha256(expected).digest()

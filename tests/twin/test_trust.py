@@ -33,26 +33,26 @@ def forecast(mean: float, half: float, samples: int = 100) -> Forecast:
 def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> None:
     """A normal error has a standard deviation of 1/1.645 of the half width that holds 90 % of it."""
     errors = np.random.default_rng(3).normal(0.0, 2.0 / 1.6449, (2, 20_000))
-    found = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[:1], 50.0 + errors[1:])
-    assert found.miss_y == pytest.approx(0.608, abs=0.01)  # 20 000 draws: standard error 0.003
-    assert found.inside_y == pytest.approx(0.9, abs=0.01)
-    assert found.inside_u == pytest.approx(0.9, abs=0.01)
+    check = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[:1], 50.0 + errors[1:])
+    assert check.miss_y == pytest.approx(0.608, abs=0.01)  # 20 000 draws: standard error 0.003
+    assert check.inside_y == pytest.approx(0.9, abs=0.01)
+    assert check.inside_u == pytest.approx(0.9, abs=0.01)
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 5.0))
 def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
     values = np.full((1, 60), 20.0 + off * half)
-    found = check_band(forecast(20.0, half), values, values)
-    assert found.miss_y == pytest.approx(off, abs=1e-9)
-    assert found.miss == max(found.miss_y, found.miss_u)
+    check = check_band(forecast(20.0, half), values, values)
+    assert check.miss_y == pytest.approx(off, abs=1e-9)
+    assert check.miss == max(check.miss_y, check.miss_u)
 
 
 def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     band = Band(np.arange(100.0), np.arange(100.0) - 1, np.arange(100.0) + 1)
-    told = forecast(0.0, 1.0)
-    told = Forecast(0, "c", "s", 0.9, told.time, told.reference, (band,), (band,))
+    ramp = forecast(0.0, 1.0)
+    ramp = Forecast(0, "c", "s", 0.9, ramp.time, ramp.reference, (band,), (band,))
     newest = np.arange(90.0, 100.0)[None]
-    assert check_band(told, newest, newest) == BandCheck(
+    assert check_band(ramp, newest, newest) == BandCheck(
         0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0, ((0.0, 1.0), (0.0, 1.0))
     )
 
@@ -60,17 +60,17 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
 def test_readings_outside_their_band_are_not_level() -> None:
     values = np.full((1, 60), 20.0)
     values[0, 30], values[0, 59] = 22.0, 19.5
-    found = check_band(forecast(20.0, 1.0), values, None)
-    assert found.inside_y == pytest.approx(59 / 60)
-    assert (found.low, found.high, found.last) == (19.5, 20.0, 19.5)
+    check = check_band(forecast(20.0, 1.0), values, None)
+    assert check.inside_y == pytest.approx(59 / 60)
+    assert (check.low, check.high, check.last) == (19.5, 20.0, 19.5)
 
 
 def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
     values = np.full((1, 60), 20.0)
     values[0, 30], values[0, 59] = 120.0, -40.0
     counted = np.abs(values[0] - 20.0) < 1.0
-    found = check_band(forecast(20.0, 1.0), values, None, counted)
-    assert (found.miss, found.inside_y, found.low, found.high, found.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
+    check = check_band(forecast(20.0, 1.0), values, None, counted)
+    assert (check.miss, check.inside_y, check.low, check.high, check.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
     assert check_band(forecast(20.0, 1.0), values, None).miss > 10.0
 
 
@@ -85,10 +85,12 @@ def outside(*output: float) -> BandCheck:
 def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
     """Where the mean is the limit, what comes below is judged by the side that is there."""
     on_limit = Band(np.full(60, 255.0), np.full(60, 253.0), np.full(60, 255.0))
-    told = Forecast(0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), (on_limit,), (on_limit,))
-    found = check_band(told, np.full((1, 60), 255.0), np.full((1, 60), 251.0))
-    assert found.miss_y == 0.0
-    assert found.miss_u == pytest.approx(2.0)
+    limited_forecast = Forecast(
+        0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), (on_limit,), (on_limit,)
+    )
+    check = check_band(limited_forecast, np.full((1, 60), 255.0), np.full((1, 60), 251.0))
+    assert check.miss_y == 0.0
+    assert check.miss_u == pytest.approx(2.0)
 
 
 def test_since_when_and_between_which_levels() -> None:
@@ -125,7 +127,7 @@ def test_twice_the_limit_is_not_a_chance() -> None:
 
 def test_a_twin_that_beats_nobody_is_not_trusted() -> None:
     """Of 200 in an hour each at most 5 %; those with half the errors are, all of them."""
-    assert sum(said for seed in range(10) for said in ever_trusted(seed)) <= 10
+    assert sum(is_trusted for seed in range(10) for is_trusted in ever_trusted(seed)) <= 10
     assert all(ever_trusted(0, better=0.5))
 
 
@@ -133,8 +135,8 @@ def test_the_level_of_an_exact_motor_changes_once(monkeypatch: pytest.MonkeyPatc
     """Its bands are missed for one window, after a step; it had 18 changes in 147 verdicts."""
     # What its first structure lacks is only words in a match's reason, and most of the time to find.
     monkeypatch.setattr("twinmatch.twin.matcher.lack_of", lambda *_: None)
-    told = levels(1, 1400)
-    assert [after for before, after in pairwise(told) if before != after] == ["trusted"]
+    course_of_levels = levels(1, 1400)
+    assert [after for before, after in pairwise(course_of_levels) if before != after] == ["trusted"]
 
 
 def test_it_begins_undecided_and_counts() -> None:

@@ -140,9 +140,9 @@ def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_se
     twin = Twin(given=[Candidate("paper 90 °C", 90.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     first = next(v for v in verdicts if not v.stands)
-    given = next(c for c in first.candidates if c.name == "paper 90 °C")
-    assert given.parameters == rig
-    assert len(given.orders) == 4
+    candidate = next(c for c in first.candidates if c.name == "paper 90 °C")
+    assert candidate.parameters == rig
+    assert len(candidate.orders) == 4
 
 
 def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_session: list[Sample]) -> None:
@@ -170,32 +170,32 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
 
 
 def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate() -> None:
-    at = 1000
+    lost_at = 1000
     twin = Twin()
-    outcomes = [twin.push(s) for s in drive_lost(at, 1600)]
+    outcomes = [twin.push(s) for s in drive_lost(lost_at, 1600)]
     verdicts = verdicts_of(outcomes)
-    assert all(v.level in (TrustLevel.TRUSTED, TrustLevel.UNKNOWN) for v in verdicts if v.sample < at)
-    told = next(v for v in verdicts if v.level is TrustLevel.FAULT)
+    assert all(v.level in (TrustLevel.TRUSTED, TrustLevel.UNKNOWN) for v in verdicts if v.sample < lost_at)
+    first_fault = next(v for v in verdicts if v.level is TrustLevel.FAULT)
     # The set-point steps down at that very sample: the plate, cooling by itself, shows it seconds later.
-    assert at < told.sample <= at + 30
-    assert told.fault == "drive-lost"
-    assert told.fault_since is not None
-    assert at - 5 <= told.fault_since <= told.sample
-    assert "drive" in told.reason
-    assert told.nominal is not None
-    assert all(v.level is TrustLevel.FAULT for v in verdicts if v.sample > told.sample)
-    assert all(c.last < told.sample for c in verdicts[-1].candidates)
+    assert lost_at < first_fault.sample <= lost_at + 30
+    assert first_fault.fault == "drive-lost"
+    assert first_fault.fault_since is not None
+    assert lost_at - 5 <= first_fault.fault_since <= first_fault.sample
+    assert "drive" in first_fault.reason
+    assert first_fault.nominal is not None
+    assert all(v.level is TrustLevel.FAULT for v in verdicts if v.sample > first_fault.sample)
+    assert all(c.last < first_fault.sample for c in verdicts[-1].candidates)
 
 
 def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
-    at = 1010
-    again = 1060
+    lost_at = 1010
+    back_at = 1060
     twin = Twin()
-    verdicts = verdicts_of([twin.push(s) for s in drive_lost(at, 1600, again)])
+    verdicts = verdicts_of([twin.push(s) for s in drive_lost(lost_at, 1600, back_at)])
     levels = {v.sample: v.level for v in verdicts}
-    assert TrustLevel.FAULT in {level for sample, level in levels.items() if at < sample <= at + 30}
+    assert TrustLevel.FAULT in {level for sample, level in levels.items() if lost_at < sample <= lost_at + 30}
     over = next(v for v in verdicts if "is over" in v.reason)
-    assert again < over.sample <= again + 150
+    assert back_at < over.sample <= back_at + 150
     assert over.fault == ""
     assert levels[max(levels)] is TrustLevel.TRUSTED
     alarm = twin.discriminator.monitor.alarms[0]
@@ -216,9 +216,9 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     last = simulated_session[-1]
     # A reading no plate can have, in a session whose index continues: the alarm starts at that very sample.
     broken = dataclasses.replace(last, index=last.index + 1, outputs=400.0)
-    told = judge.push_sample(broken).verdicts[-1]
-    assert told.fault == "sensor-implausible"
-    assert newest.name in {c.name for c in told.candidates}
+    verdict = judge.push_sample(broken).verdicts[-1]
+    assert verdict.fault == "sensor-implausible"
+    assert newest.name in {c.name for c in verdict.candidates}
     # The same alarm, reaching back into the newest candidate's window.
     alarm = dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3, spoils=True)
     gone = judge._remove_spoilt(alarm)
@@ -232,10 +232,10 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
 
 def test_a_gap_in_the_samples_starts_the_windows_again(simulated_session: list[Sample]) -> None:
     twin = Twin()
-    kept = simulated_session[:500] + [
+    with_gap = simulated_session[:500] + [
         dataclasses.replace(s, index=s.index + 1000) for s in simulated_session[500:1200]
     ]
-    outcomes = [twin.push(s) for s in kept]
+    outcomes = [twin.push(s) for s in with_gap]
     for report in matches_of(outcomes):
         first, last = report.match.samples
         assert last < 500 or first >= 1500

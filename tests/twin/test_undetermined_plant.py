@@ -31,12 +31,14 @@ def outcomes() -> list[Outcome]:
 def test_a_match_says_that_nothing_tells_them_apart(outcomes: list[Outcome]) -> None:
     matches: list[Match] = [o.match.match for o in outcomes if o.match is not None]
     assert len(matches) == 3
-    for found in matches:
-        assert found.accepted
-        assert found.condition == np.inf
-        assert "does not show in this window at all" in found.determined
+    for accepted_match in matches:
+        assert accepted_match.accepted
+        assert accepted_match.condition == np.inf
+        assert "does not show in this window at all" in accepted_match.determined
         # The combination is what the plant has: 0.9²/5 within 3 %, some four standard errors of a window.
-        assert found.parameters["hole"] ** 2 / found.parameters["area"] == pytest.approx(0.162, rel=0.03)
+        assert accepted_match.parameters["hole"] ** 2 / accepted_match.parameters["area"] == pytest.approx(
+            0.162, rel=0.03
+        )
 
 
 def test_its_twins_forecast_all_the_same(outcomes: list[Outcome]) -> None:

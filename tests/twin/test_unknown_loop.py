@@ -46,12 +46,12 @@ def test_nobody_has_to_know_a_controller() -> None:
 def test_parameters_are_found(judged: Judgement) -> None:
     accepted = [m.match for m in judged.matches if m.match.accepted]
     assert len(accepted) >= 4
-    for found in accepted:
-        for name, error in zip(found.free, found.standard_errors, strict=True):
+    for accepted_match in accepted:
+        for name, error in zip(accepted_match.free, accepted_match.standard_errors, strict=True):
             if name in TRUTH.model.names:
                 # Of two dozen figures one in 700 lies beyond four and a half standard errors by chance.
-                assert abs(found.parameters[name] - TRUTH[name]) < 4.5 * error, name
-        assert np.isnan(found.fit.u)
+                assert abs(accepted_match.parameters[name] - TRUTH[name]) < 4.5 * error, name
+        assert np.isnan(accepted_match.fit.u)
 
 
 def test_a_family_is_judged_on_what_can_be_computed(judged: Judgement) -> None:
@@ -87,18 +87,18 @@ def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
     """
     fresh = step_test(4000, 12) if kind == "step test" else switched(4000, 11)
     twin = Twin(SETTINGS)
-    held = []
+    coverages = []
     for sample in fresh[:-100]:
         twin.push(sample)
         forecaster = twin.discriminator.forecaster
         if forecaster.names and sample.index > 1500 and sample.index % 100 == 0:
-            rest = fresh[sample.index : sample.index + 101]
-            rows = np.array([s.disturbances for s in rest])
-            forecast = forecaster.outlook().forecast([s.input for s in rest[1:]], rows)
-            came = np.array([s.output for s in rest[1:]])
-            held.append(np.mean((forecast.output.low <= came) & (came <= forecast.output.high)))
-    assert len(held) >= 20
-    assert np.mean(held) == pytest.approx(0.9, abs=0.07)
+            ahead = fresh[sample.index : sample.index + 101]
+            rows = np.array([s.disturbances for s in ahead])
+            forecast = forecaster.outlook().forecast([s.input for s in ahead[1:]], rows)
+            came = np.array([s.output for s in ahead[1:]])
+            coverages.append(np.mean((forecast.output.low <= came) & (came <= forecast.output.high)))
+    assert len(coverages) >= 20
+    assert np.mean(coverages) == pytest.approx(0.9, abs=0.07)
 
 
 def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, tmp_path: Path) -> None:
@@ -108,11 +108,13 @@ def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, t
         for sample in samples:
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
     session = open_any(tmp_path / "run")
-    again = judge_samples("again", session.samples, SETTINGS)
-    for new, old in ((again.verdicts, judged.verdicts), (again.matches, judged.matches)):
+    replayed = judge_samples("again", session.samples, SETTINGS)
+    for new, old in ((replayed.verdicts, judged.verdicts), (replayed.matches, judged.matches)):
         assert new
-        assert [repr(tree_of(one)) for one in new] == [repr(tree_of(one)) for one in old[: len(new)]]
-        assert all(one.sample >= len(samples) for one in old[len(new) :])
+        assert [repr(tree_of(record)) for record in new] == [
+            repr(tree_of(record)) for record in old[: len(new)]
+        ]
+        assert all(record.sample >= len(samples) for record in old[len(new) :])
 
 
 def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
@@ -120,18 +122,18 @@ def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     for sample in RECORDINGS["step test"][:670]:
         twin.push(sample)
     outlook = twin.discriminator.forecaster.outlook()
-    held = what_if(outlook, Question())
-    off = what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
-    assert np.isnan(held.forecast.reference).all()
-    np.testing.assert_array_equal(held.forecast.input.mean, 0.15)
-    np.testing.assert_array_equal(held.forecast.input.high, held.forecast.input.low)
-    assert off.forecast.output.mean[-1] < held.forecast.output.mean[-1]
-    assert "the loop is not known: the forecast is for a constant input of 0.15" in held.forecast.notes
-    assert "the loop is not known: the forecast is for the given inputs" in off.forecast.notes
-    assert any("(room) stay constant" in note for note in held.forecast.notes)
+    answer_held = what_if(outlook, Question())
+    answer_off = what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
+    assert np.isnan(answer_held.forecast.reference).all()
+    np.testing.assert_array_equal(answer_held.forecast.input.mean, 0.15)
+    np.testing.assert_array_equal(answer_held.forecast.input.high, answer_held.forecast.input.low)
+    assert answer_off.forecast.output.mean[-1] < answer_held.forecast.output.mean[-1]
+    assert "the loop is not known: the forecast is for a constant input of 0.15" in answer_held.forecast.notes
+    assert "the loop is not known: the forecast is for the given inputs" in answer_off.forecast.notes
+    assert any("(room) stay constant" in note for note in answer_held.forecast.notes)
     # The output is waited for that these inputs lead to.
-    assert held.level == held.forecast.output.mean[-1]
-    assert held.reached.expected is not None
+    assert answer_held.level == answer_held.forecast.output.mean[-1]
+    assert answer_held.reached.expected is not None
 
 
 def test_a_known_loop_may_be_taken_as_unknown() -> None:
@@ -146,9 +148,9 @@ def test_a_known_loop_may_be_taken_as_unknown() -> None:
     verdicts = []
     for k in range(reference.size):
         sample = Sample(k, k * 50_000_000, float(reference[k]), float(output[k]), float(run.input[k]), (0.0,))
-        found = twin.push(sample)
-        matches += [found.match.match] if found.match else []
-        verdicts += found.verdicts
+        outcome = twin.push(sample)
+        matches += [outcome.match.match] if outcome.match else []
+        verdicts += outcome.verdicts
     best = [m for m in matches if m.accepted]
     assert best
     assert best[-1].parameters["k"] == pytest.approx(truth["k"], rel=0.05)

@@ -56,17 +56,19 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
     assert "bad.csv" in result.stderr
     assert "2 sessions judged" in result.stdout
 
-    found = json.loads(table.read_text())
-    kept = {
+    archive_table = json.loads(table.read_text())
+    kept_entries = {
         entry["result"]["session"]: entry for entry in map(json.loads, map(Path.read_text, out.iterdir()))
     }
     paths = {"second": archive_folder / "deeper" / "second", "first": archive_folder / "first"}
-    assert [s["session"] for s in found["sessions"]] == list(paths) == sorted(kept, reverse=True)
+    assert (
+        [s["session"] for s in archive_table["sessions"]] == list(paths) == sorted(kept_entries, reverse=True)
+    )
     for name, path in paths.items():
         alone = judge(session := open_any(path), terms_from_files(session))
         expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
-        assert {key: kept[name]["result"][key] for key in expected} == expected
-        rows = [row for row in found["candidates"] if row["session"] == name]
+        assert {key: kept_entries[name]["result"][key] for key in expected} == expected
+        rows = [row for row in archive_table["candidates"] if row["session"] == name]
         assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].modelled]
         for row, candidate in zip(rows, alone.verdicts[-1].modelled, strict=True):
             assert row["parameters"]["seebeck"] == candidate.parameters["seebeck"]
@@ -82,10 +84,10 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
     # What was kept is what the next run shows: a mark in it shows too.
     for file in out.iterdir():
         file.write_text(file.read_text().replace('"nominal": true', '"nominal": true, "mark": 1'))
-    again = judge_archive([archive_folder], out=out)
-    assert again.reused == 2
-    assert [row.get("mark") for row in again.candidates if row["nominal"]] == [1, 1]
-    assert [failure.path.name for failure in again.failed] == ["bad.csv"]
+    continued = judge_archive([archive_folder], out=out)
+    assert continued.reused == 2
+    assert [row.get("mark") for row in continued.candidates if row["nominal"]] == [1, 1]
+    assert [failure.path.name for failure in continued.failed] == ["bad.csv"]
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -112,12 +114,12 @@ def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(
 def test_progress_counts_every_session_once(tmp_path: Path) -> None:
     bad = [tmp_path / "absent.mat", tmp_path / "empty.csv"]
     bad[1].touch()
-    seen: list[tuple[int, int]] = []
-    passed = []
-    archive = judge_archive(bad, watch=lambda *at: seen.append(at), on_skip=passed.append)
-    assert seen[-1] == (2, 2)
-    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
-    assert list(archive.failed) == passed
+    progress: list[tuple[int, int]] = []
+    skipped = []
+    archive = judge_archive(bad, watch=lambda *at: progress.append(at), on_skip=skipped.append)
+    assert progress[-1] == (2, 2)
+    assert [count for count, _ in progress] == sorted({count for count, _ in progress})
+    assert list(archive.failed) == skipped
     assert [failure.path for failure in archive.failed] == bad
     assert not archive.sessions
 
@@ -195,11 +197,11 @@ def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, ma
     assert running.returncode == 130, errors
     assert errors.strip().splitlines() == ["twinmatch: interrupted"]
     wait_for(lambda: _is_gone(running.pid), "the end of all processes")
-    done = len(list(out.iterdir()))
-    assert 1 <= done < 4
+    judged_count = len(list(out.iterdir()))
+    assert 1 <= judged_count < 4
     assert all(file.suffix == ".json" and json.loads(file.read_text()) for file in out.iterdir())
-    sessions = sorted((tmp_path / "runs").iterdir())[:done]
-    assert judge_archive(sessions, out=out, jobs=1).reused == done
+    sessions = sorted((tmp_path / "runs").iterdir())[:judged_count]
+    assert judge_archive(sessions, out=out, jobs=1).reused == judged_count
 
 
 def _is_gone(group: int) -> bool:
@@ -213,8 +215,8 @@ def _is_gone(group: int) -> bool:
 def test_work_is_done_even_if_the_second_process_dies() -> None:
     with pool(1) as second:
         work = Beside(second)
-        other = second.submit(os.getpid).result()
-        assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), other}
+        second_pid = second.submit(os.getpid).result()
+        assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), second_pid}
         with pytest.raises(BrokenProcessPool):
             second.submit(os._exit, 1).result()
         assert work.give(os.getpid)() == os.getpid()
@@ -315,12 +317,12 @@ def test_any_byte_of_a_session_changes_its_hash(tmp_path: Path) -> None:
 
     whole = hashed(a_mcap=b"abc", b_mcap=b"def")
     assert hashed(a_mcap=b"abc", b_mcap=b"def", notes_txt=b"does not matter") == whole
-    others = [
+    changed = [
         hashed(a_mcap=b"abd", b_mcap=b"def"),
         hashed(a_mcap=b"abc", b_mcap=b"de"),
         hashed(a_mcap=b"ab", b_mcap=b"cdef"),  # the same bytes, moved between files
         hashed(a_mcap=b"abc", c_mcap=b"def"),
         hashed(a_mcap=b"abc", b_mcap=b"def", metadata_yaml=b"x"),
     ]
-    assert len({whole, *others}) == 6
-    assert len({key_of(content, terms) for content in others[:2] for terms in ("", "b")}) == 4
+    assert len({whole, *changed}) == 6
+    assert len({key_of(content, terms) for content in changed[:2] for terms in ("", "b")}) == 4

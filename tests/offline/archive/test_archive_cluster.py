@@ -80,12 +80,12 @@ def test_two_workers_find_what_processes_find(address: str, archive_folder: Path
     for where, choice in (("cluster", ["--scheduler", address]), ("here", ["--jobs", 1])):
         out = tmp_path / where
         table = tmp_path / f"{where}.json"
-        done = run_twinmatch("replay", archive_folder, *choice, "--out", out, "--json", table)
-        assert done.returncode == 3, done.stderr
-        assert "bad.csv" in done.stderr
-        assert "Traceback" not in done.stderr
+        process = run_twinmatch("replay", archive_folder, *choice, "--out", out, "--json", table)
+        assert process.returncode == 3, process.stderr
+        assert "bad.csv" in process.stderr
+        assert "Traceback" not in process.stderr
         results = [json.loads(file.read_text()) for file in sorted(out.iterdir())]
-        outputs[where] = (table.read_text(), results, done.stdout)
+        outputs[where] = (table.read_text(), results, process.stdout)
     assert outputs["cluster"] == outputs["here"]
     assert len(outputs["here"][1]) == 2
 
@@ -108,8 +108,8 @@ def test_nothing_of_dask_is_loaded_unasked_and_without_it_the_extra_is_named(arc
         f"words = ['replay', {str(archive_folder / 'first')!r}, '--scheduler', 'tcp://127.0.0.1:1']\n"
         "sys.exit(twinmatch.cli.main(words))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "False", done.stderr
-    assert done.returncode == 2
-    assert "twinmatch[cluster]" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.stdout.strip() == "False", process.stderr
+    assert process.returncode == 2
+    assert "twinmatch[cluster]" in process.stderr
+    assert len(process.stderr.splitlines()) == 1

@@ -27,20 +27,20 @@ class Command(NamedTuple):
 def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
     """What it says and writes, and what it was made from."""
     folder = tmp_path_factory.mktemp("card")
-    found = []
+    backtests = []
     session = backtest.backtest_outputs
 
     def kept(*given: Any, **options: Any) -> tuple[Backtest, ...]:
-        found.extend(session(*given, **options))
-        return tuple(found[-1:])
+        backtests.extend(session(*given, **options))
+        return tuple(backtests[-1:])
 
     out = folder / "card.json"
     picture = folder / "card.png"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(backtest, "backtest_outputs", kept)
-        done = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
-    assert done.returncode == 0, done.stderr
-    return Command(done, out, picture, found[0])
+        process = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
+    assert process.returncode == 0, process.stderr
+    return Command(process, out, picture, backtests[0])
 
 
 @pytest.fixture(scope="session")

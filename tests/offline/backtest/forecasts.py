@@ -35,10 +35,10 @@ def forecast_of(
 def set_points(samples: int, seed: int, levels: tuple[int, int] = (30, 80)) -> FloatArray:
     """Set-points between two levels in °C; each lasts 50 to 150 samples."""
     random = np.random.default_rng(seed)
-    found: list[float] = []
-    while len(found) < samples:
-        found += [float(random.integers(*levels))] * int(random.integers(50, 150))
-    return np.array(found[:samples])
+    references: list[float] = []
+    while len(references) < samples:
+        references += [float(random.integers(*levels))] * int(random.integers(50, 150))
+    return np.array(references[:samples])
 
 
 def linear_loop(reference: FloatArray, random: np.random.Generator, past: Window | None = None) -> Window:

@@ -38,13 +38,13 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
 def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int = 30) -> ArxForecast:
     """The model after these samples, shapes (N, o) and (N, m), asked at every `pace` of them."""
     arx = Arx(None, kept)
-    found = None
+    departure = None
     for k, (y, u) in enumerate(zip(outputs.tolist(), inputs.tolist(), strict=True)):
         arx.push(Sample(k, 0, (0.0,) * len(y), tuple(y), tuple(u)))
         if k % pace == pace - 1 or k == len(outputs) - 1:
-            found = arx.departure(np.zeros(0))
-    assert found is not None
-    return found
+            departure = arx.departure(np.zeros(0))
+    assert departure is not None
+    return departure
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.99])
@@ -57,14 +57,16 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) 
     signals = np.column_stack([y, u]) - [y[0], u[0]]
     rows = np.arange(MAX_ORDER, y.size)
     weights = kept ** np.arange(rows.size)[::-1].astype(float)
-    found = {}
+    coefficients_by_aicc = {}
     for order in range(1, MAX_ORDER + 1):
         columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
         theirs = api.WLS(y[rows] - y[rows - 1], columns, weights=weights).fit()
         n = weights.sum()
         size = columns.shape[1]
-        found[measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)] = theirs.params
-    np.testing.assert_allclose(ours.coefficients[0], found[min(found)], rtol=1e-6, atol=1e-8)
+        coefficients_by_aicc[measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)] = theirs.params
+    np.testing.assert_allclose(
+        ours.coefficients[0], coefficients_by_aicc[min(coefficients_by_aicc)], rtol=1e-6, atol=1e-8
+    )
 
 
 def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
@@ -73,10 +75,10 @@ def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
     kernel = baselines._simulate
     ahead = u[:20].copy()
     written = model.forecast(ahead, None)
-    known = len(kernel.signatures)
+    compiled_count = len(kernel.signatures)
     ahead.flags.writeable = False
     np.testing.assert_array_equal(model.forecast(ahead, None), written)
-    assert len(kernel.signatures) == known
+    assert len(kernel.signatures) == compiled_count
 
 
 def test_one_signal_is_the_case_of_several() -> None:
@@ -96,9 +98,9 @@ def test_a_plant_of_higher_order_gets_its_order() -> None:
     rng = np.random.default_rng(6)
     u = rng.uniform(-1.0, 1.0, 400)
     y = lfilter([0.0] * 7 + [0.5], [1.0, -0.8], u)
-    found = fitted(y[:300, None], u[:300, None])
-    assert found.order >= 7
-    np.testing.assert_allclose(found.forecast(u[300:], None)[0], y[300:], atol=1e-6)
+    model = fitted(y[:300, None], u[:300, None])
+    assert model.order >= 7
+    np.testing.assert_allclose(model.forecast(u[300:], None)[0], y[300:], atol=1e-6)
 
 
 @settings(max_examples=30)
@@ -108,10 +110,10 @@ def test_any_past_gives_a_finite_forecast(count: int, seed: int, size: float) ->
     random = np.random.default_rng(seed)
     steps = np.where(random.random((2, count)) < 0.05, random.normal(0.0, 1.0, (2, count)), 0.0)
     y, u = size * np.cumsum(steps, axis=1) + np.array([[50.0], [0.0]])
-    told = fitted(y[:, None], u[:, None]).referees(np.full(60, u[-1]), None)
-    assert told.shape == (2, 2, 60)
-    assert np.isfinite(told).all()
-    np.testing.assert_array_equal(told[0], np.tile([[y[-1]], [u[-1]]], 60))
+    forecasts = fitted(y[:, None], u[:, None]).referees(np.full(60, u[-1]), None)
+    assert forecasts.shape == (2, 2, 60)
+    assert np.isfinite(forecasts).all()
+    np.testing.assert_array_equal(forecasts[0], np.tile([[y[-1]], [u[-1]]], 60))
 
 
 RECORDED = {
@@ -158,8 +160,10 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     compared = 0
     for horizon, skill in zip(tested.horizons, skills, strict=True):
         errors = {
-            who: {m.sample: m.marks.error for m in tested.marked if (m.who, m.horizon) == (who, horizon)}
-            for who in ("leader", "ARX")
+            competitor: {
+                m.sample: m.marks.error for m in tested.marked if (m.who, m.horizon) == (competitor, horizon)
+            }
+            for competitor in ("leader", "ARX")
         }
         if len(errors["leader"]) < 8 or np.isnan(skill):
             continue
@@ -182,13 +186,13 @@ def test_arx_beats_persistence_on_a_recorded_hour(
     for k in range(len(hour) - 301):
         row = hour.references[k], hour.outputs[k], hour.inputs[k]
         state = law.follow(state, *row)
-        arx.push(Sample(k, 0, *(tuple(each.tolist()) for each in row)))
+        arx.push(Sample(k, 0, *(tuple(signal.tolist()) for signal in row)))
         if k > 1800 and k % 300 == 0:
             came = np.array([hour.output[k + 1 : k + 301], hour.input[k + 1 : k + 301]])
-            off = came - arx.departure(state).referees(hour.reference[k + 1 : k + 301], None)
-            errors.append(np.sqrt(np.mean(np.square(off / np.array([[0.1], [7.0]])), axis=(1, 2))))
-    persistence, own = np.median(errors, axis=0)
-    assert own < 0.1 * persistence
+            error = came - arx.departure(state).referees(hour.reference[k + 1 : k + 301], None)
+            errors.append(np.sqrt(np.mean(np.square(error / np.array([[0.1], [7.0]])), axis=(1, 2))))
+    persistence, arx_error = np.median(errors, axis=0)
+    assert arx_error < 0.1 * persistence
 
 
 # Alignment of traces: the published twins of the incubator.
@@ -205,10 +209,10 @@ THEIR_SCORES = {
 @pytest.mark.parametrize(("name", "parameters"), THEIR_SCORES)
 def test_the_score_is_the_authors(incubator_folder: Path, name: str, parameters: int) -> None:
     """Their way back follows one table and not three, so that their pairs do not quite add up to it."""
-    score, alike = THEIR_SCORES[name, parameters]
-    found = fidelity(*published_twin(incubator_folder, name, parameters), 0.2)
-    assert found.score == pytest.approx(score, abs=1e-4)
-    assert found.matched == pytest.approx(alike, abs=0.006)
+    score, share_alike = THEIR_SCORES[name, parameters]
+    score_found = fidelity(*published_twin(incubator_folder, name, parameters), 0.2)
+    assert score_found.score == pytest.approx(score, abs=1e-4)
+    assert score_found.matched == pytest.approx(share_alike, abs=0.006)
 
 
 def test_by_the_authors_own_measure_ours_is_more_like_the_box_than_theirs(incubator_folder: Path) -> None:

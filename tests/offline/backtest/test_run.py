@@ -71,9 +71,9 @@ def card(tested: Backtest, who: str, horizon: float) -> Card:
 def test_everybody_is_judged_from_the_same_origins(shipped: Backtest) -> None:
     assert [c.who for c in shipped.cards][::3][:5] == [LEADER, NOMINAL, NEWEST, CONSTANT, HINDSIGHT]
     for horizon in shipped.horizons:
-        held = [c for c in shipped.cards if c.horizon == horizon]
-        assert len({c.count for c in held}) == 1
-        assert held[0].count >= 30
+        cards_there = [c for c in shipped.cards if c.horizon == horizon]
+        assert len({c.count for c in cards_there}) == 1
+        assert cards_there[0].count >= 30
 
 
 def test_the_leader_is_near_the_best_and_beats_everybody_without_a_twin(shipped: Backtest) -> None:
@@ -82,9 +82,9 @@ def test_the_leader_is_near_the_best_and_beats_everybody_without_a_twin(shipped:
         leader = card(shipped, LEADER, horizon)
         assert 0.8 < leader.median < 1.3
         assert 1.0 <= leader.ratio < 1.2
-        others = [c for c in shipped.cards if c.horizon == horizon and c.who not in TWINS]
-        assert others
-        assert all(c.median > 1.05 * leader.median for c in others)
+        without_twin = [c for c in shipped.cards if c.horizon == horizon and c.who not in TWINS]
+        assert without_twin
+        assert all(c.median > 1.05 * leader.median for c in without_twin)
         assert card(shipped, "persistence", horizon).median > 10.0 * leader.median
 
 
@@ -98,9 +98,13 @@ def test_the_leaders_band_holds_what_it_promises(shipped: Backtest) -> None:
 
 def test_a_constant_band_has_the_means_of_the_nominal(shipped: Backtest) -> None:
     for horizon in shipped.horizons:
-        one, other = (card(shipped, who, horizon) for who in (NOMINAL, CONSTANT))
-        assert (one.median, one.nine_in_ten, one.ratio) == (other.median, other.nine_in_ten, other.ratio)
-        assert one.width_output != other.width_output
+        nominal, constant = (card(shipped, forecaster, horizon) for forecaster in (NOMINAL, CONSTANT))
+        assert (nominal.median, nominal.nine_in_ten, nominal.ratio) == (
+            constant.median,
+            constant.nine_in_ten,
+            constant.ratio,
+        )
+        assert nominal.width_output != constant.width_output
 
 
 EARLY = Choices(every=50.0, horizons=(10.0, 60.0, 100.0))
@@ -109,8 +113,8 @@ EARLY = Choices(every=50.0, horizons=(10.0, 60.0, 100.0))
 def backtest_where(wanted: Callable[[Sample], bool]) -> Backtest:
     """Of those samples of the sample session."""
     session = open_any(SHIPPED)
-    kept = replace(session, samples=[s for s in session.samples if wanted(s)])
-    return backtest(kept, terms_from_files(kept), EARLY)
+    part = replace(session, samples=[s for s in session.samples if wanted(s)])
+    return backtest(part, terms_from_files(part), EARLY)
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +127,10 @@ def test_a_session_cut_short_gives_the_same_forecasts(early: Backtest) -> None:
     """Nobody looks ahead: what comes after sample 800 does not change what is said up to 700."""
     cut = backtest_where(lambda sample: sample.index < 801)
     # As texts, in which figures that there are not, NaN, are equal.
-    known = {(*m.place, m.who): repr(m) for m in cut.marked if m.sample <= 700}
-    again = {(*m.place, m.who): repr(m) for m in early.marked if m.sample <= 700}
-    assert len(known) > 60
-    assert known == again
+    of_cut = {(*m.place, m.who): repr(m) for m in cut.marked if m.sample <= 700}
+    uncut = {(*m.place, m.who): repr(m) for m in early.marked if m.sample <= 700}
+    assert len(of_cut) > 60
+    assert of_cut == uncut
 
 
 def test_forecasts_through_a_fault_are_left_out(tmp_path: Path) -> None:
@@ -148,15 +152,16 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
 
 def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
     """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
-    rest = backtest_where(lambda sample: sample.index < 1200 and sample.index % 15 != 7)
-    ends = {(m.sample + round(h)) % 15 for m in rest.marked for h in (m.horizon,)}
+    thinned = backtest_where(lambda sample: sample.index < 1200 and sample.index % 15 != 7)
+    ends = {(m.sample + round(h)) % 15 for m in thinned.marked for h in (m.horizon,)}
     assert 7 not in ends
-    before, now = (
-        {(m.sample, m.horizon): m.marks for m in one.marked if m.who == "leader"} for one in (early, rest)
+    before, with_gaps = (
+        {(m.sample, m.horizon): m.marks for m in tested_run.marked if m.who == "leader"}
+        for tested_run in (early, thinned)
     )
-    kept = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
-    assert len(now.keys() & set(kept)) > 0.9 * len(kept)
-    errors = [[m.output.rms for m in one.values()] for one in (before, now)]
+    places = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
+    assert len(with_gaps.keys() & set(places)) > 0.9 * len(places)
+    errors = [[m.output.rms for m in marks_at.values()] for marks_at in (before, with_gaps)]
     assert np.median(errors[1]) == pytest.approx(np.median(errors[0]), rel=0.2)
 
 
@@ -211,11 +216,11 @@ def test_the_leader_is_reported(shipped: Backtest) -> None:
 
 def test_the_best_in_hindsight_is_one_of_the_candidates(shipped: Backtest) -> None:
     errors: dict[tuple[str, int, float], dict[str, Marked]] = {}
-    for one in shipped.marked:
-        errors.setdefault(one.place, {})[one.who] = one
-    for found in errors.values():
-        for who in (LEADER, NOMINAL, NEWEST):
-            assert found[HINDSIGHT].marks.error <= found[who].marks.error
+    for marked_forecast in shipped.marked:
+        errors.setdefault(marked_forecast.place, {})[marked_forecast.who] = marked_forecast
+    for by_forecaster in errors.values():
+        for forecaster in (LEADER, NOMINAL, NEWEST):
+            assert by_forecaster[HINDSIGHT].marks.error <= by_forecaster[forecaster].marks.error
 
 
 @pytest.mark.parametrize(
@@ -245,14 +250,14 @@ def tested() -> Backtest:
     marked = []
     shown = []
     arx = Arx(Peltier.loop, 1.0)
-    held = {origin.sample: origin for origin in origins([loop], regular([loop], 60.0), HORIZONS)}
+    origin_at = {origin.sample: origin for origin in origins([loop], regular([loop], 60.0), HORIZONS)}
     for sample in samples_of(loop):
         arx.push(sample)
-        if sample.index in held:
-            for name, forecast in ask(arx.departure(np.zeros(2)), held[sample.index]).items():
-                origin = held[sample.index]
-                who = PEERS[name]
-                marked += mark("loop", who, forecast, origin, horizons=HORIZONS, plant=Peltier)
+        if sample.index in origin_at:
+            for name, forecast in ask(arx.departure(np.zeros(2)), origin_at[sample.index]).items():
+                origin = origin_at[sample.index]
+                forecaster = PEERS[name]
+                marked += mark("loop", forecaster, forecast, origin, horizons=HORIZONS, plant=Peltier)
                 shown.append(forecast)
     return Backtest(
         name="loop",
@@ -273,13 +278,13 @@ def one(who: str, error: float, horizon: float = 60.0) -> Marked:
 
 
 def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
-    found = backtest_tables(tested)
-    assert [table.title for table in found] == [
+    tables = backtest_tables(tested)
+    assert [table.title for table in tables] == [
         "loop: 10 s ahead, 9 forecasts",
         "loop: 60 s ahead, 9 forecasts",
     ]
     console = Console(width=180, record=True, file=io.StringIO())
-    for table in found:
+    for table in tables:
         console.print(table)
     text = console.export_text()
     assert text.count("persistence") == text.count("ARX") == 2
@@ -293,27 +298,27 @@ def of(*marked: Marked, horizons: tuple[float, ...] = (60.0,)) -> Backtest:
 
 def test_cells_are_in_the_units_of_the_plant() -> None:
     (card,) = of(one("ARX", 2.0)).cards
-    said = {name: text(card) for name, text in card_columns(Peltier)}
-    assert said["error"] == "2.00"
-    assert (said["end / °C"], said["end / PWM"]) == ("0.20", "14.0")
-    assert (said["width / °C"], said["width / PWM"]) == ("0.40", "28.0")
-    assert (said["held °C"], said["held PWM"]) == ("93 %", "93 %")
-    assert said["× best"] == "–"
+    cell_of = {name: text(card) for name, text in card_columns(Peltier)}
+    assert cell_of["error"] == "2.00"
+    assert (cell_of["end / °C"], cell_of["end / PWM"]) == ("0.20", "14.0")
+    assert (cell_of["width / °C"], cell_of["width / PWM"]) == ("0.40", "28.0")
+    assert (cell_of["held °C"], cell_of["held PWM"]) == ("93 %", "93 %")
+    assert cell_of["× best"] == "–"
 
 
 def test_the_sentence_says_how_the_leader_did() -> None:
     marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
     tested = of(*marked, horizons=HORIZONS)
-    held = (
+    sentence = (
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
         "held 93 % of the readings (90 % expected)."
     )
-    assert backtest_words(tested) == [held]
+    assert backtest_words(tested) == [sentence]
     last = verdict(TrustLevel.TRUSTED, leader="50 °C", trusted=(60.0,))
     at_end = backtest_words(replace(tested, last=last))
-    assert at_end == [held, "At the end they pass the test of trust 60 s ahead."]
+    assert at_end == [sentence, "At the end they pass the test of trust 60 s ahead."]
     nowhere = backtest_words(replace(tested, last=replace(last, trusted=())))
-    assert nowhere == [held, "At the end they pass the test of trust at no horizon."]
+    assert nowhere == [sentence, "At the end they pass the test of trust at no horizon."]
 
 
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:
@@ -349,13 +354,13 @@ def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_p
     figure = draw_backtest(tested)
     save(figure, tmp_path / "card.png")
     assert (tmp_path / "card.png").stat().st_size > 30_000
-    errors, held, output, left, entry = figure.axes
+    errors, coverage, output, residual, entry = figure.axes
     medians = {line.get_label(): line.get_ydata() for line in errors.get_lines()}
-    for who in ("persistence", "ARX"):
-        own = [c.median for c in tested.cards if c.who == who]
-        np.testing.assert_array_equal(np.asarray(medians[who]), own)
-    assert [t.get_text() for t in held.get_xticklabels()] == ["10 s ahead", "60 s ahead"]
-    assert len(output.collections) == len(left.collections) == len(entry.collections) == len(tested.shown)
+    for forecaster in ("persistence", "ARX"):
+        expected_medians = [c.median for c in tested.cards if c.who == forecaster]
+        np.testing.assert_array_equal(np.asarray(medians[forecaster]), expected_medians)
+    assert [t.get_text() for t in coverage.get_xticklabels()] == ["10 s ahead", "60 s ahead"]
+    assert len(output.collections) == len(residual.collections) == len(entry.collections) == len(tested.shown)
 
 
 def test_without_a_forecast_the_picture_says_so() -> None:
@@ -383,20 +388,22 @@ def test_the_shipped_session_has_its_report_card(command: Any) -> None:
 
 def test_horizons_pace_and_peers_can_be_chosen(still: Path, tmp_path: Path) -> None:
     out = tmp_path / "card.json"
-    done = run_twinmatch("backtest", still, "--every", "20", "--horizon", "30", "5", "--peers", "--json", out)
-    assert done.returncode == 0, done.stderr
+    process = run_twinmatch(
+        "backtest", still, "--every", "20", "--horizon", "30", "5", "--peers", "--json", out
+    )
+    assert process.returncode == 0, process.stderr
     written = json.loads(out.read_text())["total"]
     assert written["horizons"] == [5.0, 30.0]
     assert written["cards"] == []
-    assert "there was no candidate yet" in done.stdout
+    assert "there was no candidate yet" in process.stdout
 
 
 def test_a_session_that_cannot_be_used_is_skipped(still: Path, tmp_path: Path) -> None:
-    done = run_twinmatch("backtest", still, tmp_path / "absent.mat", "--peers", "persistence")
-    assert done.returncode == 3
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert "skipped" in done.stderr
-    assert "absent.mat" in done.stderr
+    process = run_twinmatch("backtest", still, tmp_path / "absent.mat", "--peers", "persistence")
+    assert process.returncode == 3
+    assert len(process.stderr.strip().splitlines()) == 1
+    assert "skipped" in process.stderr
+    assert "absent.mat" in process.stderr
 
 
 def test_the_command_offers_every_peer() -> None:

@@ -33,8 +33,8 @@ from twinmatch.signals import Sample, Window, unbroken
 
 def nothing_changes(origin: Origin) -> ArxForecast:
     """Who has learned nothing yet."""
-    now = origin.past
-    past = np.array([[now.output[-1], now.input[-1]]])
+    past_window = origin.past
+    past = np.array([[past_window.output[-1], past_window.input[-1]]])
     return ArxForecast(np.zeros((0, 0)), np.zeros(0), past, np.zeros((1, 2)), None, np.zeros(0))
 
 
@@ -48,9 +48,9 @@ def at(held: Sequence[Window], told: Sequence[int], every: float, horizons: Sequ
 
 
 def test_every_minute_and_every_verdict() -> None:
-    found = at([window(400)], [75, 119, 380], 60.0, HORIZONS)
-    assert [m.sample for m in found] == [59, 75, 119, 179, 239, 299, 359, 380]
-    assert [m.count for m in found] == [300, 300, 280, 220, 160, 100, 40, 19]
+    chosen = at([window(400)], [75, 119, 380], 60.0, HORIZONS)
+    assert [m.sample for m in chosen] == [59, 75, 119, 179, 239, 299, 359, 380]
+    assert [m.count for m in chosen] == [300, 300, 280, 220, 160, 100, 40, 19]
 
 
 def test_nothing_is_forecast_that_cannot_be_judged() -> None:
@@ -61,17 +61,17 @@ def test_nothing_is_forecast_that_cannot_be_judged() -> None:
 def test_stretches_are_forecast_by_themselves() -> None:
     """After a gap the past starts over, and no forecast reaches over one."""
     samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
-    held = [Window.from_samples(stretch, 1.0) for stretch in unbroken(samples)]
-    found = at(held, [], 60.0, (10.0, 60.0))
-    assert [m.sample for m in found] == [59, 209, 269, 329, 389]
-    assert (found[0].count, found[1].count) == (40, 60)
-    assert (found[1].past.first, found[1].past.last) == (150, 209)
-    np.testing.assert_array_equal(found[1].came.output, np.arange(210.0, 270.0))
+    windows = [Window.from_samples(stretch, 1.0) for stretch in unbroken(samples)]
+    chosen = at(windows, [], 60.0, (10.0, 60.0))
+    assert [m.sample for m in chosen] == [59, 209, 269, 329, 389]
+    assert (chosen[0].count, chosen[1].count) == (40, 60)
+    assert (chosen[1].past.first, chosen[1].past.last) == (150, 209)
+    np.testing.assert_array_equal(chosen[1].came.output, np.arange(210.0, 270.0))
 
 
 def test_seconds_count_and_not_samples() -> None:
-    found = at([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
-    assert [(m.sample, m.count) for m in found] == [(19, 20), (39, 20), (59, 20), (79, 20)]
+    chosen = at([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
+    assert [(m.sample, m.count) for m in chosen] == [(19, 20), (39, 20), (59, 20), (79, 20)]
     with pytest.raises(BacktestError, match="shorter than one sample"):
         at([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
 
@@ -89,8 +89,8 @@ def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
     forecast = ask(nothing_changes(origin), origin)["persistence"]
-    found = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
-    assert [(m.session, m.sample, m.who, m.horizon) for m in found] == [
+    marked_horizons = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
+    assert [(m.session, m.sample, m.who, m.horizon) for m in marked_horizons] == [
         ("a", 119, "somebody", 10.0),
         ("a", 119, "somebody", 60.0),
     ]
@@ -129,8 +129,10 @@ def test_no_interval_costs_less_than_the_quantiles(
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
     low, high = np.quantile(x, tails, method="inverted_cdf")
     truth = interval_score(np.full(x.size, low), np.full(x.size, high), x, confidence).mean()
-    other = interval_score(np.full(x.size, interval[0]), np.full(x.size, interval[1]), x, confidence).mean()
-    assert truth <= other + 1e-9 * max(1.0, other)
+    cost_of_interval = interval_score(
+        np.full(x.size, interval[0]), np.full(x.size, interval[1]), x, confidence
+    ).mean()
+    assert truth <= cost_of_interval + 1e-9 * max(1.0, cost_of_interval)
 
 
 @pytest.mark.parametrize("confidence", [0.0, 1.0, float("nan")])
@@ -143,15 +145,15 @@ def test_marks_count_in_units_of_the_noise() -> None:
     """0.3 and 0.1 °C are 3 and 1 times the output's noise, 14 and 0 counts 2 and 0 times the input's."""
     forecast = forecast_of(9, [50.0, 50.0, 50.0], [20.0, 20.0, 20.0], half=(0.2, 7.0))
     came = Window([60.0] * 3, [50.3, 49.9, 80.0], [34.0, 20.0, 90.0], first=10)
-    (found,) = marks(forecast, came, [2.0], Peltier)
-    assert found.output.rms == pytest.approx(np.sqrt(5.0))
-    assert found.input.rms == pytest.approx(np.sqrt(2.0))
-    assert found.error == pytest.approx(np.sqrt(3.5))
-    assert (found.output.end, found.input.end) == pytest.approx((-1.0, 0.0))
-    assert (found.output.coverage, found.input.coverage) == (0.5, 0.5)
-    assert (found.output.width, found.input.width) == pytest.approx((4.0, 2.0))
-    assert found.output.score == pytest.approx(4.0 + 20.0 * 1.0 / 2.0)
-    assert found.score == pytest.approx((found.output.score + found.input.score) / 2.0)
+    (mark,) = marks(forecast, came, [2.0], Peltier)
+    assert mark.output.rms == pytest.approx(np.sqrt(5.0))
+    assert mark.input.rms == pytest.approx(np.sqrt(2.0))
+    assert mark.error == pytest.approx(np.sqrt(3.5))
+    assert (mark.output.end, mark.input.end) == pytest.approx((-1.0, 0.0))
+    assert (mark.output.coverage, mark.input.coverage) == (0.5, 0.5)
+    assert (mark.output.width, mark.input.width) == pytest.approx((4.0, 2.0))
+    assert mark.output.score == pytest.approx(4.0 + 20.0 * 1.0 / 2.0)
+    assert mark.score == pytest.approx((mark.output.score + mark.input.score) / 2.0)
 
 
 @given(st.integers(1, 30), st.integers(0, 100))
@@ -159,9 +161,9 @@ def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> N
     random = np.random.default_rng(seed)
     y = random.normal(50.0, 20.0, count)
     u = random.uniform(-255.0, 255.0, count)
-    (found,) = marks(forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier)
-    assert found.error == found.output.end == found.input.end == 0.0
-    assert found.output.coverage == found.input.coverage == 1.0
+    (mark,) = marks(forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier)
+    assert mark.error == mark.output.end == mark.input.end == 0.0
+    assert mark.output.coverage == mark.input.coverage == 1.0
 
 
 def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
@@ -202,32 +204,37 @@ def test_without_candidates_there_is_no_ratio() -> None:
 
 
 def test_sessions_and_horizons_are_kept_apart() -> None:
-    held = [
+    marked_forecasts = [
         marked("leader", 1, 1.0),
         marked("leader", 1, 3.0, session="b"),
         marked("leader", 1, 9.0, horizon=300.0),
         marked("leader", 1, 5.0, horizon=10.0),
     ]
-    assert [(c.horizon, c.count) for c in cards(held)] == [(10.0, 1), (60.0, 2), (300.0, 1)]
-    assert len(best_in_hindsight(held)) == 4
+    assert [(c.horizon, c.count) for c in cards(marked_forecasts)] == [(10.0, 1), (60.0, 2), (300.0, 1)]
+    assert len(best_in_hindsight(marked_forecasts)) == 4
 
 
 def test_all_are_compared_from_the_same_origins() -> None:
-    held = [marked("one", 1, 1.0), marked("one", 2, 1.0), marked("other", 2, 1.0), marked("other", 3, 1.0)]
-    assert [(m.who, m.sample) for m in common(held)] == [("one", 2), ("other", 2)]
+    marked_forecasts = [
+        marked("one", 1, 1.0),
+        marked("one", 2, 1.0),
+        marked("other", 2, 1.0),
+        marked("other", 3, 1.0),
+    ]
+    assert [(m.who, m.sample) for m in common(marked_forecasts)] == [("one", 2), ("other", 2)]
 
 
 @given(st.lists(st.lists(st.floats(0.0, 100.0), min_size=3, max_size=3), min_size=1, max_size=20))
 def test_nobody_beats_the_best_in_hindsight(errors: list[list[float]]) -> None:
-    held = [marked(f"twin {j}", k, e) for k, row in enumerate(errors) for j, e in enumerate(row)]
-    found = {c.who: c for c in cards([*held, *best_in_hindsight(held)])}
+    marked_forecasts = [marked(f"twin {j}", k, e) for k, row in enumerate(errors) for j, e in enumerate(row)]
+    card_of = {c.who: c for c in cards([*marked_forecasts, *best_in_hindsight(marked_forecasts)])}
     least = np.min(errors, axis=1)
-    assert found[HINDSIGHT].ratio == 1.0
-    assert found[HINDSIGHT].median == pytest.approx(np.median(least), rel=1e-12)
+    assert card_of[HINDSIGHT].ratio == 1.0
+    assert card_of[HINDSIGHT].median == pytest.approx(np.median(least), rel=1e-12)
     for j in range(3):
-        card = found[f"twin {j}"]
+        card = card_of[f"twin {j}"]
         assert card.ratio >= 1.0 - 1e-12
-        assert card.median >= found[HINDSIGHT].median * (1.0 - 1e-12)
+        assert card.median >= card_of[HINDSIGHT].median * (1.0 - 1e-12)
 
 
 def test_the_band_is_that_of_the_residuals_so_far() -> None:
@@ -242,10 +249,10 @@ def test_the_band_is_that_of_the_residuals_so_far() -> None:
     y = run.output + 0.5 * random.standard_normal(2000) * (np.arange(2000) > 5)
     u = run.input + 4.0 * random.standard_normal(2000) * (np.arange(2000) > 5)
     forecast = forecast_of(1999, np.full(300, 50.0), np.full(300, 253.0))
-    made = with_constant_band(forecast, rig, Window(reference, y, u), Peltier.loop)
-    np.testing.assert_array_equal(made.output.mean, np.full(300, 50.0))
-    assert np.ptp(made.output.low) == np.ptp(made.output.high) == 0.0
-    assert made.output.high[0] - 50.0 == pytest.approx(0.5 * 1.645, rel=0.1)
-    assert made.output.low[0] - 50.0 == pytest.approx(-0.5 * 1.645, rel=0.1)
-    assert made.input.low[0] - 253.0 == pytest.approx(-4.0 * 1.645, rel=0.1)
-    assert made.input.high[0] == 255.0
+    banded = with_constant_band(forecast, rig, Window(reference, y, u), Peltier.loop)
+    np.testing.assert_array_equal(banded.output.mean, np.full(300, 50.0))
+    assert np.ptp(banded.output.low) == np.ptp(banded.output.high) == 0.0
+    assert banded.output.high[0] - 50.0 == pytest.approx(0.5 * 1.645, rel=0.1)
+    assert banded.output.low[0] - 50.0 == pytest.approx(-0.5 * 1.645, rel=0.1)
+    assert banded.input.low[0] - 253.0 == pytest.approx(-4.0 * 1.645, rel=0.1)
+    assert banded.input.high[0] == 255.0

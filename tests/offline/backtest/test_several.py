@@ -48,8 +48,8 @@ def test_a_known_plant_is_forecast_to_its_noise() -> None:
     assert [list(tested.plant.drives) for tested in (first, second)] == [["first_power"], ["second_power"]]
     for tested in (first, second):
         for horizon in (20.0, 100.0):
-            own = np.array(list(ends(tested, LEADER, horizon).values()))
-            assert np.std(own) == pytest.approx(1.0, abs=0.25)  # of 60: 3 standard errors are 0.27
+            leader_ends = np.array(list(ends(tested, LEADER, horizon).values()))
+            assert np.std(leader_ends) == pytest.approx(1.0, abs=0.25)  # of 60: 3 standard errors are 0.27
             cards = {card.who: card for card in tested.cards if card.horizon == horizon}
             assert cards[LEADER].median < cards[PEERS["arx"]].median < cards[PEERS["persistence"]].median
             assert 0.8 < cards[LEADER].coverage_output < 0.99
@@ -63,13 +63,13 @@ def test_forecasts_know_nothing_of_later_samples() -> None:
     changed = replace(changed, outputs=y)
     choices = Choices(every=20.0, horizons=(100.0,))
     (before, _), (after, _) = (backtest_each(session(w), Heaters, choices) for w in (whole, changed))
-    for who in (LEADER, *PEERS.values()):
-        one = ends(before, who, 100.0)
-        other = ends(after, who, 100.0)
-        known = [k for k in one if k + 50 < 1300]
-        assert len(known) > 20
-        assert [one[k] for k in known] == [other[k] for k in known]
-        assert one != other
+    for forecaster in (LEADER, *PEERS.values()):
+        ends_before = ends(before, forecaster, 100.0)
+        ends_after = ends(after, forecaster, 100.0)
+        untouched = [k for k in ends_before if k + 50 < 1300]
+        assert len(untouched) > 20
+        assert [ends_before[k] for k in untouched] == [ends_after[k] for k in untouched]
+        assert ends_before != ends_after
 
 
 def test_a_session_too_short_to_forecast_is_refused() -> None:
@@ -87,27 +87,32 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     path = tmp_path / "kit"
     card = tmp_path / "card.json"
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
-    done = run_twinmatch("backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60)
-    assert done.returncode == 0, done.stderr
-    assert "60 s ahead, the leader's temperature T2 was off by less than" in done.stdout
-    made = json.loads(card.read_text("utf-8"))
-    assert [one["name"] for one in made["sessions"]] == ["kit, temperature", "kit, second_temperature"]
-    assert [one["name"] for one in made["total"]] == ["kit, temperature", "kit, second_temperature"]
+    process = run_twinmatch(
+        "backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60
+    )
+    assert process.returncode == 0, process.stderr
+    assert "60 s ahead, the leader's temperature T2 was off by less than" in process.stdout
+    document = json.loads(card.read_text("utf-8"))
+    assert [entry["name"] for entry in document["sessions"]] == [
+        "kit, temperature",
+        "kit, second_temperature",
+    ]
+    assert [entry["name"] for entry in document["total"]] == ["kit, temperature", "kit, second_temperature"]
     assert (tmp_path / "card.png").is_file()
     assert (tmp_path / "card_second_temperature.png").is_file()
-    (health,) = made["health"]
+    (health,) = document["health"]
     (alarm,) = health["alarms"]
     assert (health["session"], health["samples"]) == ("kit", 1600)
     assert 0 <= health["unjudged"] < 800
     assert (alarm["fault"], alarm["signal"], alarm["last"]) == ("sensor-drift", "second_temperature", None)
     assert (alarm["size"], alarm["rivals"]) == (pytest.approx(5.0, abs=0.5), [])
     assert 1538 <= alarm["first"] <= 1540 <= alarm["flagged"] <= 1545
-    assert f"kit: health: sensor-drift from {alarm['first']} s to the end, reported at" in done.stdout
-    assert f"{alarm['flagged']} s: {alarm['reason']}" in done.stdout
+    assert f"kit: health: sensor-drift from {alarm['first']} s to the end, reported at" in process.stdout
+    assert f"{alarm['flagged']} s: {alarm['reason']}" in process.stdout
     (course,) = health["through"]
     assert (course["signal"], course["unit"]) == ("second_temperature", "°C")
     assert len(course["values"]) == len(course["bands"]) == 1600 - course["first"]
-    assert f"the twin reads through temperature T2 from {course['first']} to 1599 s" in done.stdout
+    assert f"the twin reads through temperature T2 from {course['first']} to 1599 s" in process.stdout
     assert (tmp_path / "card_health.png").is_file()
     refused = run_twinmatch("backtest", path, "--config", "config/twin.yaml")
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
@@ -118,8 +123,8 @@ def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
     0.95 K."""
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
     y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
-    made = session(Window(np.zeros_like(y), y, u))
-    tests = backtest_each(made, TCLabBoth, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
+    kit_session = session(Window(np.zeros_like(y), y, u))
+    tests = backtest_each(kit_session, TCLabBoth, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
 
     def rms(who: str, horizon: float) -> float:
         errors = np.array([list(ends(tested, who, horizon).values()) for tested in tests])
