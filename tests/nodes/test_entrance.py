@@ -37,7 +37,7 @@ from twinmatch.fitting.match import Fit
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
-from twinmatch.nodes.entrance import ALONE, MAX_KINDS, MAX_NAMES, MAX_REASONS, Course
+from twinmatch.nodes.entrance import ALONE, Course, Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
@@ -453,7 +453,7 @@ class Beside:
         """End the program, which has said what it refused."""
         told = {k for node in self._program.nodes for k in node.health.report().values if "refused" in k}
         assert len(told) >= len(self.topics)
-        assert all(len(node.entrance._told) <= MAX_KINDS for node in self._program.nodes)
+        assert all(node.entrance.refusals <= Entrance.MAX_KINDS for node in self._program.nodes)
         assert self._program.end() == 0, self._program.text
 
 
@@ -524,10 +524,10 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     assert not listener.health
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    others = [Node(f"other_{k}", context=listener.node.context) for k in range(MAX_NAMES)]
+    others = [Node(f"other_{k}", context=listener.node.context) for k in range(Entrance.MAX_NAMES)]
     for node in others:
         node.create_publisher(messages.LoopSample, "plant/sample", 10)
-    many = MAX_NAMES + 1
+    many = Entrance.MAX_NAMES + 1
     listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
     draw = Nonsense(seed=27)
     for _ in range(60):
@@ -537,7 +537,7 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
         lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
     )
     told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
-    assert max(told) == MAX_REASONS
+    assert max(told) == Entrance.MAX_REASONS
     for node in others:
         node.destroy_node()
 
@@ -673,7 +673,7 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.nodes.samples.MAX_QUEUED", -1)
+    monkeypatch.setattr("twinmatch.nodes.samples.SampleNode.MAX_QUEUED", -1)
     (node,) = start("twin_simulator").nodes
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])

@@ -24,14 +24,14 @@ def run(options: argparse.Namespace) -> int:
     """
 
     # Beside the plants: a compiler uses one core.
-    other = multiprocessing.get_context("spawn").Process(target=_identify_and_compare, daemon=True)
+    identifying = multiprocessing.get_context("spawn").Process(target=_identify_and_compare, daemon=True)
     if not options.plant:
-        other.start()
+        identifying.start()
     for plant in [find_plant(options.plant)] if options.plant else PLANTS.values():
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
     if not options.plant:
-        other.join()
+        identifying.join()
     return 0
 
 

@@ -113,14 +113,14 @@ def open_shown(path: Path, plant: str | None = None) -> Session:
 
 def say_missing(name: str, missing: Sequence[str]) -> None:
     """Say on standard error what a session lacks, or what of it may be wrong."""
-    for what in missing:
-        print(f"twinmatch: session {name} is not complete: {what}", file=sys.stderr)
+    for lack in missing:
+        print(f"twinmatch: session {name} is not complete: {lack}", file=sys.stderr)
 
 
 def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     """Arguments of whatever reads a session and judges it: the options of `TERMS`, and its progress."""
-    given = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
-    return {**given, "watch": progress.advance, "progress": partial(progress.show, "reading")}
+    arguments = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
+    return {**arguments, "watch": progress.advance, "progress": partial(progress.show, "reading")}
 
 
 def column_map(options: argparse.Namespace) -> SignalMap:
@@ -175,8 +175,8 @@ def check_writable(*outputs: Path | None, example: str = "") -> None:
         if not output.absolute().parent.is_dir():
             raise TwinmatchError(f"{output}: the folder {output.parent} does not exist; create it first")
         if output.is_dir():
-            such = f", such as {output / example}" if example else ""
-            raise TwinmatchError(f"{output}: is a folder; give the file to write{such}")
+            hint = f", such as {output / example}" if example else ""
+            raise TwinmatchError(f"{output}: is a folder; give the file to write{hint}")
 
 
 def write_json(path: Path | None, content: Callable[[], Any]) -> None:
@@ -269,12 +269,14 @@ class Progress:
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
     """Add the options for the address, the port (default `port`), the names and the namespace of a server."""
-    here = "serve on this address; any but 127.0.0.1 is open to other machines"
-    parser.add_argument("--address", default="127.0.0.1", help=here)
-    free = f"TCP port (default: {port}); 0: any free port"
-    parser.add_argument("--port", type=int, default=port, help=free)
-    known = "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
-    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=known)
+    address = "serve on this address; any but 127.0.0.1 is open to other machines"
+    parser.add_argument("--address", default="127.0.0.1", help=address)
+    port_words = f"TCP port (default: {port}); 0: any free port"
+    parser.add_argument("--port", type=int, default=port, help=port_words)
+    host_help = (
+        "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
+    )
+    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=host_help)
     parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
 
 
@@ -293,8 +295,8 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
         raise ServingError(f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'")
     if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
         raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
-    given = {name: getattr(options, name) for name in ("address", "port", "hosts")}
-    words = node_words(command, {**given, **parameters})
+    shared_options = {name: getattr(options, name) for name in ("address", "port", "hosts")}
+    words = node_words(command, {**shared_options, **parameters})
     return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
 
 

@@ -287,9 +287,9 @@ class ArduinoModel:
 
     def _finish_turn(self) -> list[Reply]:
         assert self._turn is not None  # noqa: S101  (asked by the only caller)
-        left, request = self._turn
-        if left > 1:
-            self._turn = left - 1, request
+        milliseconds, request = self._turn
+        if milliseconds > 1:
+            self._turn = milliseconds - 1, request
             return []
         self._turn = None
         self._heat = request.pwm > 0

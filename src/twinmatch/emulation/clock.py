@@ -105,14 +105,14 @@ class LineServer:
             if client is self._listener:
                 continue
             try:
-                said = client.recv(4096)
+                received = client.recv(4096)
             except OSError:
-                said = b""
-            *lines, rest = (self._clients[client] + said).split(b"\n")
-            if not said or max(map(len, (*lines, rest))) > _MAX_HEARD:
+                received = b""
+            *lines, unfinished = (self._clients[client] + received).split(b"\n")
+            if not received or max(map(len, (*lines, unfinished))) > _MAX_HEARD:
                 self._drop(client)
                 continue
-            self._clients[client] = rest
+            self._clients[client] = unfinished
             for line in lines:
                 yield client, line
 
@@ -187,19 +187,19 @@ class ClockServer(LineServer):
 
     def limit(self, stamp: int) -> float:
         """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
-        now = time.monotonic()
+        wall_now = time.monotonic()
         lowest = math.inf
         for reader in self._readers.values():
-            if reader.until is None or (reader.until <= stamp and not reader.awaits(now)):
+            if reader.until is None or (reader.until <= stamp and not reader.awaits(wall_now)):
                 continue
             lowest = min(lowest, reader.until)
         return lowest
 
     def lacks(self, image: int) -> bool:
         """Whether a reader that takes images has not taken the one of this time, ns, yet."""
-        now = time.monotonic()
+        wall_now = time.monotonic()
         return any(
-            reader.image is not None and reader.image < image and reader.awaits(now)
+            reader.image is not None and reader.image < image and reader.awaits(wall_now)
             for reader in self._readers.values()
         )
 
@@ -250,7 +250,7 @@ class ClockClient(Background):
 
     def _follow(self, connection: socket.socket) -> None:
         connection.settimeout(0.2)
-        rest = b""
+        unfinished = b""
         while not self.ending.is_set():
             try:
                 piece = connection.recv(4096)
@@ -258,8 +258,8 @@ class ClockClient(Background):
                 continue  # a stopped clock is not an error of the connection
             if not piece:
                 raise ClockError("the virtual rig has ended")
-            *lines, rest = (rest + piece).split(b"\n")
-            if len(rest) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
+            *lines, unfinished = (unfinished + piece).split(b"\n")
+            if len(unfinished) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
                 raise ClockError("the stream is not the clock of a virtual rig; is the address right?")
             if lines:
                 self._tell(int(lines[-1]))

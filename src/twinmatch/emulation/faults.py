@@ -92,10 +92,10 @@ def parse_now(text: str, now: float) -> RigFault:
 
 
 def _parse_fault(text: str) -> RigFault:
-    kind, at, times = text.strip().partition("@")
+    kind, mark, times = text.strip().partition("@")
     _check_kind(kind)
     start, plus, duration = times.partition("+")
-    if not at:
+    if not mark:
         raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
     return RigFault(kind, _seconds(text, start, 0.0), _duration(text, plus, duration))
 
@@ -148,11 +148,11 @@ class FaultSchedule:
 
     def told(self, true: float, room: float, now: float, number: int = 1) -> float:
         """What the sensor of this number tells of a temperature, °C: it may be off, drift or slip off."""
-        kept = math.exp(-self.lasted("sensor-slips", now, number) / _SLIPS)
-        off = _OFFSET * self.acts("sensor-offset", number) - _DRIFTS * self.lasted(
-            "sensor-drifts", now, number
-        )
-        return room + (true - room) * kept + off
+        contact = math.exp(-self.lasted("sensor-slips", now, number) / _SLIPS)
+        offset = _OFFSET * self.acts("sensor-offset", number)
+        drift = _DRIFTS * self.lasted("sensor-drifts", now, number)
+        error = offset - drift
+        return room + (true - room) * contact + error
 
     def add(self, fault: RigFault) -> None:
         """Put a fault on the schedule."""
@@ -235,7 +235,7 @@ def tell(path: str | Path, line: str) -> str:
     except OSError as error:
         msg = f"virtual rig at {path}: {error}; give the address it prints as `control:`"
         raise RigControlError(msg) from error
-    verdict, _, rest = answer.partition(" ")
+    verdict, _, text = answer.partition(" ")
     if verdict != "ok":
-        raise RigControlError(f"virtual rig: {rest or 'no answer'}")
-    return rest
+        raise RigControlError(f"virtual rig: {text or 'no answer'}")
+    return text

@@ -124,7 +124,12 @@ class VirtualPlantTime(ABC):
         self.slice = self._longest
         """Plant time of one step, ms."""
         # At real time and in step nobody needs the time more often, and every node of the graph receives it.
-        self._every = _CLOCK_EVERY * (4 if self.settings.speed <= 1 else 10 if self.settings.in_step else 1)
+        if self.settings.speed <= 1:
+            self._every = 4 * _CLOCK_EVERY
+        elif self.settings.in_step:
+            self._every = 10 * _CLOCK_EVERY
+        else:
+            self._every = _CLOCK_EVERY
         self._clock_sent = 0.0
         self._told = 0
         self._attended = 0.0
@@ -211,12 +216,12 @@ class VirtualPlantTime(ABC):
             if wait > 0:
                 self.rest(wait)
             self.step()
-            now = time.monotonic()
-            if now - listened >= self._every:
-                listened = now
+            wall_now = time.monotonic()
+            if wall_now - listened >= self._every:
+                listened = wall_now
                 # While driven it stops often, and tells the time there, unless who drives has a wrong time.
-                if not self._clock.driven or now - self._clock_sent >= _REPEAT:
-                    self._send_clock(now)
+                if not self._clock.driven or wall_now - self._clock_sent >= _REPEAT:
+                    self._send_clock(wall_now)
                 self._attend(watch)
                 limit = self._listen()
 
@@ -236,9 +241,9 @@ class VirtualPlantTime(ABC):
         return True
 
     def _attend(self, watch: Callable[[], object]) -> None:
-        now = time.monotonic()
-        if now - self._attended >= _ATTEND_EVERY:
-            self._attended = now
+        wall_now = time.monotonic()
+        if wall_now - self._attended >= _ATTEND_EVERY:
+            self._attended = wall_now
             self._control.attend()
             watch()
 
@@ -255,17 +260,17 @@ class VirtualPlantTime(ABC):
 
     def _stand(self) -> None:
         """Tell the readers the time once they have every image."""
-        now = time.monotonic()
+        wall_now = time.monotonic()
         pause = _BREATH if self._clock.breathing else 0.0
         if self._told == self.stamp:
             pause = _REPEAT
-        if self.settled(self._clock) and now - self._clock_sent >= pause:
-            self._send_clock(now)
+        if self.settled(self._clock) and wall_now - self._clock_sent >= pause:
+            self._send_clock(wall_now)
 
-    def _send_clock(self, now: float) -> None:
+    def _send_clock(self, wall_now: float) -> None:
         self._clock.send(self.stamp)
         self._told = self.stamp
-        self._clock_sent = now
+        self._clock_sent = wall_now
 
     def _require(self, fault: RigFault) -> RigFault:
         if fault.kind not in self.KINDS:
@@ -304,14 +309,14 @@ class RigPace:
 
     def wait(self, plant: float) -> float:
         """Wall time, s, until plant time `plant` (s since the start) is due; 0 if it already is."""
-        now = time.monotonic()
-        self._mark(now, plant)
+        wall_now = time.monotonic()
+        self._mark(wall_now, plant)
         due = self._wall + (plant - self._plant) / self.speed
         late = math.inf if self._real else max(_MIN_LATE, _MAX_LATE / self.speed)
-        if now - due > late:
-            self._wall = now - late
+        if wall_now - due > late:
+            self._wall = wall_now - late
             self._plant = plant
-        return max(0.0, due - now)
+        return max(0.0, due - wall_now)
 
     def limit(self, speed: float, plant: float) -> None:
         """Continue at another speed from plant time `plant`, s."""
@@ -331,18 +336,18 @@ class RigPace:
         wall = time.monotonic() - self._start
         return wall, plant / wall
 
-    def _mark(self, now: float, plant: float) -> None:
-        if now - self._marks[-1][0] > _RECENT / 20:
-            self._marks.append((now, plant))
-            while now - self._marks[0][0] > _RECENT:
+    def _mark(self, wall_now: float, plant: float) -> None:
+        if wall_now - self._marks[-1][0] > _RECENT / 20:
+            self._marks.append((wall_now, plant))
+            while wall_now - self._marks[0][0] > _RECENT:
                 self._marks.popleft()
 
 
 @contextlib.contextmanager
 def _private_folder() -> Iterator[Path]:
     """A new private folder; folders left by killed rigs are removed first."""
-    for left in Path(tempfile.gettempdir()).glob(f"{_FOLDERS}*"):
-        _remove_if_left(left)
+    for leftover in Path(tempfile.gettempdir()).glob(f"{_FOLDERS}*"):
+        _remove_if_left(leftover)
     folder = Path(tempfile.mkdtemp(prefix=_FOLDERS))
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

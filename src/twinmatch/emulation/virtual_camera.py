@@ -161,10 +161,10 @@ class VirtualCamera:
         process = self._process
         if process is None:
             return
-        said = _pipe(process.stderr).read()
-        if said:
-            self._said.extend(said.decode(errors="replace").splitlines())
-        elif said == b"":
+        output = _pipe(process.stderr).read()
+        if output:
+            self._said.extend(output.decode(errors="replace").splitlines())
+        elif output == b"":
             last = " / ".join(list(self._said)[-3:])
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 

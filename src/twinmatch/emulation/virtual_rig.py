@@ -113,8 +113,8 @@ class VirtualPlant:
 
     def _celsius(self, name: str) -> float:
         """A state, °C; a sink without mass is at room temperature."""
-        known = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
-        return float(known.get(name, self.parameters["ambient"])) - Peltier.output.absolute
+        by_name = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
+        return float(by_name.get(name, self.parameters["ambient"])) - Peltier.output.absolute
 
     def _under(self, *, enabled: bool) -> Parameters:
         """Parameters under the active faults, with a closed or an open circuit; cached."""
@@ -162,8 +162,9 @@ class VirtualRig(VirtualPlantTime):
     def make(self, stack: ExitStack) -> dict[str, str]:
         """Create board, camera and plate."""
         self.plant = VirtualPlant()
-        made = make_board(self.settings.board, self.folder / "ttyACM0")
-        self._board, self.board_kind, self.board_remark = made
+        self._board, self.board_kind, self.board_remark = make_board(
+            self.settings.board, self.folder / "ttyACM0"
+        )
         stack.callback(self._board.close)
         self._camera = VirtualCamera(ambient=self.plant.plate, seed=1000 * self.settings.seed)
         stack.callback(self._camera.close)
@@ -181,8 +182,8 @@ class VirtualRig(VirtualPlantTime):
         self.ms = self.ms + self.slice
         if self.ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
             self._board.set_current(self.plant.feedback(self.drive))
-        seen = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)
-        self._camera.see(self.elapsed, seen, self.stamp)
+        temperature = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)
+        self._camera.see(self.elapsed, temperature, self.stamp)
 
     def _advance_board(self) -> None:
         if "garbage-serial" not in self.schedule.active:

@@ -49,7 +49,10 @@ def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times,
 
 
 def _times(recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]) -> Times:
-    return {name: [times_of(series) for series in channels] for name, channels in recorded.items()}
+    times = {}
+    for name, channels in recorded.items():
+        times[name] = [times_of(series) for series in channels]
+    return times
 
 
 def _stamps_or(times: FloatArray, series: Series) -> FloatArray:

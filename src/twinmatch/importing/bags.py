@@ -201,17 +201,17 @@ class Bag:
 
     def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
         """The messages of topics in the order of recording, or the first few of each; `topics` may shrink."""
-        left = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
-        if not left:
+        wanted = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
+        if not wanted:
             return
         for message in chain.from_iterable(self._scans()):
             name = message.topic.name
-            if name in left and name in topics:
-                left[name] -= 1
+            if name in wanted and name in topics:
+                wanted[name] -= 1
                 yield message
-                if not left[name]:
-                    del left[name]
-            if not left:
+                if not wanted[name]:
+                    del wanted[name]
+            if not wanted:
                 return
 
     def _decoded(self, message: Message) -> Any:
@@ -219,8 +219,8 @@ class Bag:
             return definition_of(message.topic).decode(message.data)
         except Exception as error:  # the library raises many kinds for damaged bytes
             name, kind, *_ = message.topic
-            what = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
-            raise RecordingError(f"{self.path}: {name}: {what}") from error
+            problem = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
+            raise RecordingError(f"{self.path}: {name}: {problem}") from error
 
     def _check(self, channel: Channel) -> tuple[Channel, str]:
         topics = self._topics
@@ -311,8 +311,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise RecordingError(f"{path}: does not exist")
     files, notes = files_of(path, lambda file: suffix_of(file) in SCANS) if path.is_dir() else ([path], [])
     if not files or len({suffix_of(file) for file in files}) > 1:
-        what = "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
-        raise RecordingError(f"{path}: {what}")
+        problem = (
+            "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
+        )
+        raise RecordingError(f"{path}: {problem}")
     with scans_of(files) as scans:
         yield Bag(path, scans, notes)
 

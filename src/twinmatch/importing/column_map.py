@@ -38,7 +38,7 @@ def read_map(path: Path) -> SignalMap:
         raise RecordingError(f"{path}: columns is empty; give a line for each signal, such as output: T")
     if content.period is not None and not 0 < content.period < np.inf:
         raise RecordingError(f"{path}: period is {content.period:g}; give a positive number of seconds")
-    sources = {name: source_of(f"{path}: {name}", given) for name, given in content.columns.items()}
+    sources = {name: source_of(f"{path}: {name}", entry) for name, entry in content.columns.items()}
     return SignalMap(sources, content.plant, content.period)
 
 
@@ -168,14 +168,14 @@ def _stepped(values: FloatArray) -> bool:
 def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
     """A guess at the columns of time, output, input, reference and room, for a person to check."""
     sources: dict[str, SignalSource] = {}
-    taken: set[str] = set()
+    used: set[str] = set()
     for signal, candidates in _candidates(columns):
         if signal in sources:
             continue
-        free = [column.title for column in candidates if column.title not in taken]
+        free = [column.title for column in candidates if column.title not in used]
         if free:
             sources[signal] = SignalSource((free[0],))
-            taken.add(free[0])
+            used.add(free[0])
     if seen_by_controller(columns, sources):
         measured, drive = _in_and_out(columns)
         sources["output"] = SignalSource((measured.title,))

@@ -92,9 +92,9 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
     wanted = next((variable for variable in present if variable.name == name), None)
     if wanted is None:
-        more = ", …" if len(present) > _MAX_SHOWN else ""
+        ellipsis = ", …" if len(present) > _MAX_SHOWN else ""
         names = ", ".join(variable.name[:40] for variable in present[:_MAX_SHOWN]) or "nothing"
-        raise RecordingError(f"{path}: has no matrix {name}; it has {names}{more}")
+        raise RecordingError(f"{path}: has no matrix {name}; it has {names}{ellipsis}")
     if not wanted.real:
         raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
     if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != width:
@@ -112,9 +112,9 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
-    at = _HEADER
+    position = _HEADER
     for _ in range(_MAX_VARIABLES):
-        file.seek(at)
+        file.seek(position)
         tag = file.read(8)
         if not tag:
             return
@@ -122,15 +122,17 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
             raise _DamagedError("a variable begins where the file ends")
         kind, size = struct.unpack(f"{order}II", tag)
         if kind not in (_MATRIX, _COMPRESSED):
-            raise _DamagedError(f"no variable begins at byte {at}")
+            raise _DamagedError(f"no variable begins at byte {position}")
         head = file.read(min(size, _HEAD))
         try:
             if kind == _COMPRESSED:
                 head = zlib.decompressobj().decompress(head, _HEAD)[8:]
-            yield _Variable(*_head(head, order), at, kind, size)
+            yield _Variable(*_head(head, order), position, kind, size)
         except (struct.error, zlib.error, IndexError) as error:
-            raise _DamagedError(f"the variable at byte {at} has no readable beginning: {error}") from error
-        at += 8 + size
+            raise _DamagedError(
+                f"the variable at byte {position} has no readable beginning: {error}"
+            ) from error
+        position += 8 + size
     raise _DamagedError(f"there are more than {_MAX_VARIABLES} variables")
 
 
@@ -138,20 +140,20 @@ def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
     """Name, shape, and whether it is a real array, from the beginning of a variable."""
     (flags,) = struct.unpack_from(f"{order}I", head, 8)
     real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
-    dimensions, at = _part(head, 16, order)
-    name, _ = _part(head, at, order)
+    dimensions, position = _part(head, 16, order)
+    name, _ = _part(head, position, order)
     shape = struct.unpack(f"{order}{len(dimensions) // 4}i", dimensions)
     return name.decode("latin-1"), shape, real
 
 
-def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
+def _part(head: bytes, position: int, order: str) -> tuple[bytes, int]:
     """The bytes of the part at a position, and the position of the next part."""
-    kind, size = struct.unpack_from(f"{order}II", head, at)
+    kind, size = struct.unpack_from(f"{order}II", head, position)
     if kind >> 16:  # up to four bytes are in the tag itself
-        return head[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
-    if size > len(head) - at - 8:
+        return head[position + 4 : position + 4 + min(kind >> 16, 4)], position + 8
+    if size > len(head) - position - 8:
         raise IndexError("a part is longer than the whole")
-    return head[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
+    return head[position + 8 : position + 8 + size], position + 8 + -(-size // 8) * 8
 
 
 def _unpack(file: BinaryIO, wanted: _Variable, order: str) -> bytes:

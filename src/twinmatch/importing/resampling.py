@@ -127,8 +127,8 @@ def complete_rows(*columns: FloatArray) -> NDArray[np.intp]:
 
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
     """Those of the rows that repeat the row before in every column: loggers write some rows twice."""
-    same = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
-    return np.asarray(rows[1:][same])
+    is_repeated = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
+    return np.asarray(rows[1:][is_repeated])
 
 
 def resample(
@@ -190,10 +190,13 @@ def resample(
             piece = {name: _MOVES[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
         clocks.append(clock)
         pieces.append(piece)
+    resampled = {}
+    for name in values:
+        resampled[name] = np.concatenate([piece[name] for piece in pieces])
     return Resampled(
         time=np.concatenate(clocks),
         index=_numbers(clocks, period),
-        columns={name: np.concatenate([piece[name] for piece in pieces]) for name in values},
+        columns=resampled,
         period=period,
         rows=stamps.size,
         steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
@@ -219,10 +222,10 @@ def period_of_ticks(
     usual = usual_step(steps)
     odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
     if odd.size:
-        at = int(odd[0])
+        first = int(odd[0])
         raise RecordingError(
-            f"{place}: {steps[at]:g} s from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; split the "
-            "recording there, or import it with a map of its columns, which resamples it"
+            f"{place}: {steps[first]:g} s from {row(first)} to {row(first + 1)}, elsewhere {usual:g} s; "
+            "split the recording there, or import it with a map of its columns, which resamples it"
         )
     return rounded_period(float(steps.mean()))
 
@@ -264,8 +267,8 @@ def _check(
         raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
     for name, column in values.items():
         if name not in kinds or kinds[name] not in _MOVES:
-            known = ", ".join(_MOVES)
-            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {known}")
+            allowed = ", ".join(_MOVES)
+            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {allowed}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
             raise RecordingError(msg)
@@ -287,32 +290,33 @@ def _refuse_standing(
     rare = split and (steps < 0).sum() <= _RARELY * steps.size
     back = np.flatnonzero(steps == 0 if rare else steps <= 0)
     if back.size:
-        at = int(back[0])
+        first = int(back[0])
         many = np.median(np.unique(stamps, return_counts=True)[1])
         if many > 1 and steps.size >= _FEW and not (steps < 0).any():
             mean = float(f"{usual_step(steps) / many:.3g}")
             raise RecordingError(
-                f"{place}: {row(at)} and {row(at + 1)} have the same time, {stamps[at]:.12g} s, and so on: "
-                f"the times have too few digits for rows about {mean:g} s apart; record more digits, or map "
-                f"no time and give --period {mean:g}"
+                f"{place}: {row(first)} and {row(first + 1)} have the same time, {stamps[first]:.12g} s, and "
+                f"so on: the times have too few digits for rows about {mean:g} s apart; record more digits, "
+                f"or map no time and give --period {mean:g}"
             )
         remedy = "sort the rows, and keep one per time"
-        if steps[at] < 0 and not split:
+        if steps[first] < 0 and not split:
             remedy = "if a clock was set back there, import it with --gaps split; otherwise sort the rows"
         raise RecordingError(
-            f"{place}: time does not advance from {stamps[at]:.12g} s in {row(at)} to "
-            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; {remedy}"
+            f"{place}: time does not advance from {stamps[first]:.12g} s in {row(first)} to "
+            f"{stamps[first + 1]:.12g} s in {row(first + 1)}; {remedy}"
         )
 
 
 def _refuse_gap(
     steps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
 ) -> None:
-    at = int(cuts[0])
-    others = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
+    first = int(cuts[0])
+    further = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
     raise RecordingError(
-        f"{place}: a gap of {steps[at]:.4g} s after {row(at)}{others}; steps of up to {limit:.4g} s are "
-        "bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge SECONDS)"
+        f"{place}: a gap of {steps[first]:.4g} s after {row(first)}{further}; steps of up to {limit:.4g} s "
+        "are bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge "
+        "SECONDS)"
     )
 
 
@@ -325,12 +329,16 @@ def _default_period(stretches: list[FloatArray], steps: FloatArray, usual: float
     mean = sum(float(stretch[-1] - stretch[0]) for stretch in stretches) / periods
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
     near = [period for period in rounded if abs(period - mean) <= ROUNDED * mean]
-    kept = (period for period in near if _all_on_clock(stretches, period))
-    return next(kept, near[0])
+    exact = (period for period in near if _all_on_clock(stretches, period))
+    return next(exact, near[0])
 
 
 def _all_on_clock(stretches: list[FloatArray], period: float) -> bool:
-    return all(on_clock for _, on_clock in (_clock(stretch, period) for stretch in stretches))
+    for stretch in stretches:
+        _, on_clock = _clock(stretch, period)
+        if not on_clock:
+            return False
+    return True
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:

@@ -264,13 +264,13 @@ class _Cells:
     def rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
         """Take rows of any cells, each with its place."""
         for place, cells in rows:
-            for column, others, text in zip(self._numbers, self.texts, cells, strict=True):
+            for column, texts, text in zip(self._numbers, self.texts, cells, strict=True):
                 try:
                     column.append(float(text))
                 except ValueError:
                     value = number(text, self._decimal)
                     if value is None:
-                        others[len(self.places)] = text
+                        texts[len(self.places)] = text
                     column.append(math.nan if value is None else value)
             self.places.append(place)
 
@@ -361,9 +361,9 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
     if all(number(next_line[k], ",") is None for k in stated):
         return titles, 0
     with_units = []
-    for title, unit, known in zip(titles, units, is_unit, strict=True):
+    for title, unit, is_known in zip(titles, units, is_unit, strict=True):
         has_unit = bool(split_title(title)[1])
-        with_units.append(f"{title} ({unit})" if known and not has_unit else title)
+        with_units.append(f"{title} ({unit})" if is_known and not has_unit else title)
     return with_units, 1
 
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.ending import end_in_order
-from twinmatch.launching.judging import LEAVE, Judged, Judging
+from twinmatch.launching.judging import Judged, Judging
 from twinmatch.launching.shown import Shown
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
@@ -109,7 +109,7 @@ class Alone:
         Raises:
             TwinmatchError: one of the parts cannot be used.
         """
-        given = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
+        candidates = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
         opened = source_of(plan.values)
         if opened is None:
             raise SamplingError(
@@ -118,7 +118,7 @@ class Alone:
             )
         self._settings = plan.settings
         try:
-            self._open(plan, opened, given)
+            self._open(plan, opened, candidates)
         except BaseException:
             self._close()
             raise
@@ -130,7 +130,7 @@ class Alone:
         self._troubles: dict[str, str] = {}
         self._ended = False
 
-    def _open(self, plan: AlonePlan, opened: Open, given: Sequence[Candidate]) -> None:
+    def _open(self, plan: AlonePlan, opened: Open, candidates: Sequence[Candidate]) -> None:
         self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
         for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
             pass
@@ -138,7 +138,7 @@ class Alone:
         self._listener.open(opened)
         self._shown = Shown(plan.settings, plan.page, plan.tell)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
-        self._judging = Judging(plan.settings, given, shown=self._shown.wanted)
+        self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._spool = SampleSpool()
 
     def run(self) -> None:
@@ -152,8 +152,8 @@ class Alone:
             self._view.open()
             while not self._ended:
                 for call, interval in self._every.items():
-                    if (now := time.monotonic()) >= due[call]:
-                        due[call] = max(due[call] + interval, now)
+                    if (wall_now := time.monotonic()) >= due[call]:
+                        due[call] = max(due[call] + interval, wall_now)
                         call()
                 self._take_samples()
                 self._take_judged()
@@ -223,7 +223,7 @@ class Alone:
 
     def _finish(self) -> None:
         """Wait for what is being judged, and summarise."""
-        until = time.monotonic() + LEAVE
+        until = time.monotonic() + Judging.LEAVE
         while self._judged < self._taken and time.monotonic() < until and self._judging.failure is None:
             self._take_judged()
             time.sleep(self._listener.interval)

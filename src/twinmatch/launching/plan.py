@@ -162,8 +162,8 @@ class LivePlan:
         """ROS arguments of the twin's nodes."""
         files = () if self.twin_config is None else (self.twin_config,)
         nodes = () if self.candidates is None else ("discriminator", "matcher")
-        given = {f"{node}:candidates": self.candidates for node in nodes}
-        return ros_arguments({**given, **self._time()}, *files)
+        candidate_files = {f"{node}:candidates": self.candidates for node in nodes}
+        return ros_arguments({**candidate_files, **self._time()}, *files)
 
     def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:
         """ROS arguments of the recorder of a session, which may continue another one."""

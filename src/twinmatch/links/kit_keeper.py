@@ -77,17 +77,17 @@ class Kit(tclab.TCLab):
             )
         self.off()  # the package does so with heater 1 only
 
-    def drive(self, power: float, other: float) -> KitReading:
+    def drive(self, power: float, second_power: float) -> KitReading:
         """Set both heaters, %, and read both sensors.
 
         Raises:
             KitError: a command is not within 0 to 100, or an answer is invalid.
             OSError: the port is gone.
         """
-        for value in (power, other):
+        for value in (power, second_power):
             if not 0.0 <= value <= 100.0:  # true for NaN too
                 raise KitError(f"kit: the command is {value}; it must be within 0 to 100 %")
-        set_to = [self._heater(name, value) for name, value in (("Q1", power), ("Q2", other))]
+        set_to = (self._heater("Q1", power), self._heater("Q2", second_power))
         return KitReading(self._temperature("T1"), self._temperature("T2"), *set_to)
 
     def off(self) -> None:
@@ -197,14 +197,14 @@ class _Keeper:
             return "cleared"
         if len(words) != 3 or words[0] != "drive":
             raise KitError(f"kit: {' '.join(words)!r} is not a command")
-        power, other = (_number(word) for word in words[1:])
-        wanted = power > 0.0 or other > 0.0
+        power, second_power = (_number(word) for word in words[1:])
+        wanted = power > 0.0 or second_power > 0.0
         if self._silent and wanted:
             return (
                 f"silent the kit received no command for {self._deadline:g} s; its heaters were switched off"
             )
         self._driving = wanted
-        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, other))
+        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, second_power))
 
     @staticmethod
     def _say(line: str) -> None:

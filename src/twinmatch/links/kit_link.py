@@ -118,25 +118,25 @@ class KitLink:
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
         self._heard = b""
-        kind, rest = self._answer(_START)
+        kind, text = self._answer(_START)
         if kind != "ready":
             self.close()
-            raise KitAbsentError(rest) if kind == "absent" else KitError(rest)
-        self.port, _, self.firmware = rest.partition(" ")
+            raise KitAbsentError(text) if kind == "absent" else KitError(text)
+        self.port, _, self.firmware = text.partition(" ")
 
-    def drive(self, power: float, other: float) -> KitReading:
+    def drive(self, power: float, second_power: float) -> KitReading:
         """Set both heaters, %, and read both sensors.
 
         Raises:
             KitSilentError: the heaters were switched off, and stay so until `clear`.
             KitError: the kit or its process is lost; close the link.
         """
-        kind, rest = self._ask(f"drive {power!r} {other!r}")
+        kind, text = self._ask(f"drive {power!r} {second_power!r}")
         if kind == "silent":
-            raise KitSilentError(rest)
+            raise KitSilentError(text)
         if kind != "read":
-            raise KitError(rest)
-        return KitReading(*map(float, rest.split()))
+            raise KitError(text)
+        return KitReading(*map(float, text.split()))
 
     def clear(self) -> None:
         """Allow the heaters to be driven again after the deadline has passed.
@@ -144,9 +144,9 @@ class KitLink:
         Raises:
             KitError: the kit or its process is lost; close the link.
         """
-        kind, rest = self._ask("clear")
+        kind, text = self._ask("clear")
         if kind != "cleared":
-            raise KitError(rest)
+            raise KitError(text)
 
     def close(self) -> None:
         """Let the process switch the heaters off and end; returns when it has ended."""
@@ -178,13 +178,13 @@ class KitLink:
         pipe = self._process.stdout.fileno()
         deadline = time.monotonic() + patience
         while b"\n" not in self._heard:
-            left = deadline - time.monotonic()
+            seconds_left = deadline - time.monotonic()
             wait = math.inf
             if self.plant_time is not None:
                 self.plant_time()
                 wait = _SHORT
-            if not select.select([pipe], [], [], max(0.0, min(left, wait)))[0]:
-                if left > wait:
+            if not select.select([pipe], [], [], max(0.0, min(seconds_left, wait)))[0]:
+                if seconds_left > wait:
                     continue
                 raise KitError(f"kit: the process that holds its port gave no answer for {patience:g} s")
             piece = os.read(pipe, 4096)
@@ -192,5 +192,5 @@ class KitLink:
                 raise KitError("kit: the process that holds its port has ended")
             self._heard += piece
         line, _, self._heard = self._heard.partition(b"\n")
-        kind, _, rest = line.decode(errors="replace").partition(" ")
-        return kind, rest
+        kind, _, text = line.decode(errors="replace").partition(" ")
+        return kind, text

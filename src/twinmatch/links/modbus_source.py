@@ -83,9 +83,12 @@ class ModbusDevice:
         self._text = url.partition("?")[0]
         tcp = _TCP.fullmatch(url)
         rtu = _RTU.fullmatch(url)
-        given = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
-        wrong = [f"{k}={v}" for k, v in given.items() if not re.fullmatch(_KEYS.get(k, "(?!)"), v, re.A)]
-        keys = _USUAL | given
+        line_settings = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
+        wrong = []
+        for key, value in line_settings.items():
+            if not re.fullmatch(_KEYS.get(key, "(?!)"), value, re.A):
+                wrong.append(f"{key}={value}")
+        keys = _USUAL | line_settings
         self._tcp = bool(tcp)
         self._client: Any  # its methods have no types
         self._open: partial[Any]
@@ -125,14 +128,14 @@ class ModbusDevice:
             raise ModbusError(f"{where}: no connection ({error}); check the address") from None
         except ModbusException as error:
             self._leave()
-            what = "the unit" if self._tcp else "unit, baud, parity and stop"
+            to_check = "the unit" if self._tcp else "unit, baud, parity and stop"
             came = (
                 f" (the answer is damaged, or belongs to another request: {self._quoted})"
                 if self._received
                 else ""
             )
             raise ModbusError(
-                f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {what}"
+                f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {to_check}"
             ) from error
         if got.function_code & ~_ERROR != _FUNCTIONS[table]:
             self._leave()

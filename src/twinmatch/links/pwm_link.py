@@ -163,8 +163,10 @@ class Patience:
 
     def left(self) -> float:
         """How long to wait before the next call, s; none if not positive."""
-        now = self._plant_time()
-        return _SHORT if now is not None and now < self._plant_end else self._end - time.monotonic()
+        plant_now = self._plant_time()
+        if plant_now is not None and plant_now < self._plant_end:
+            return _SHORT
+        return self._end - time.monotonic()
 
 
 AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
@@ -350,8 +352,8 @@ class PwmLink:
         try:
             wire.write(line)
             patience = Patience(self.settings.timeout, self.plant_time)
-            while (left := patience.left()) > 0 and not self._talk.spoiled:
-                wire.timeout = left
+            while (seconds_left := patience.left()) > 0 and not self._talk.spoiled:
+                wire.timeout = seconds_left
                 reply = self._talk.hear(wire.read(max(1, wire.in_waiting)))
                 if reply is not None:
                     return reply
@@ -366,23 +368,24 @@ class PwmLink:
     def _no_answer(self, verb: Verb) -> PwmLinkError:
         talk = self._talk
         tries = self.settings.retries + 1
-        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
+        failure = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
         if talk.refused_line is not None:
             code = talk.refused_line.code
-            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
+            why = f"requests arrive damaged ({code.value}); check the cable"
+            return PwmRejectedError(f"{failure}: {why}", code)
         if talk.damaged:
-            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
+            return PwmCorruptReplyError(f"{failure}: {talk.damaged} arrived damaged; check the cable")
         if talk.stale:
             return PwmStaleReplyError(
-                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
+                f"{failure}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
             )
         wait = f"{self.settings.timeout:g} s"
-        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
+        return PwmTimeoutError(f"{failure} of {wait}; is this the right port, and is the board running?")
 
     def _rejection(self, reply: Reply) -> PwmRejectedError:
         code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
-        what = f"PWM link: the board at {self.port} refused with {code.value}"
-        return PwmRejectedError(f"{what}; do host and firmware match?", code)
+        failure = f"PWM link: the board at {self.port} refused with {code.value}"
+        return PwmRejectedError(f"{failure}; do host and firmware match?", code)
 
     def _raise_trip(self, flags: Flags) -> NoReturn:
         self._notice_reset(flags)

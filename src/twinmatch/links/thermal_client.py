@@ -345,7 +345,7 @@ class ThermalClient(Background):
         self._socket = None
 
     def _accept(self, frame: ThermalFrame, previous: ThermalFrame | None) -> None:
-        now = time.monotonic_ns()
+        received_at = time.monotonic_ns()
         if previous is not None:
             if frame.boot_id != previous.boot_id:
                 raise ThermalOrderError("thermal stream: the boot id changed within one connection")
@@ -359,7 +359,8 @@ class ThermalClient(Background):
         fresh = last is None or restarted or frame.frame_counter != last.frame_counter
         news = fresh and not frame.frozen
         status = self._status
-        received = Received(frame, status.frames + 1, now, self._mapper.map(frame.stamp, now), news)
+        taken = self._mapper.map(frame.stamp, received_at)
+        received = Received(frame, status.frames + 1, received_at, taken, news)
         self._status = replace(
             status,
             frames=status.frames + 1,

@@ -201,8 +201,8 @@ def _check_image(image: object) -> None:
     if not isinstance(image, np.ndarray):
         raise FrameFieldError(f"thermal frame: the image is a {type(image).__name__}; give an array")
     if image.dtype != np.uint16 or image.ndim != 2:
-        given = f"{image.dtype} of shape {image.shape}"
-        raise FrameFieldError(f"thermal frame: the image is {given}; give uint16 counts in rows and columns")
+        layout = f"{image.dtype} of shape {image.shape}"
+        raise FrameFieldError(f"thermal frame: the image is {layout}; give uint16 counts in rows and columns")
     if not all(1 <= side <= MAX_SIDE for side in image.shape):
         msg = f"thermal frame: the image has shape {image.shape}; each side must be 1 to {MAX_SIDE}"
         raise FrameFieldError(msg)

@@ -10,6 +10,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -117,12 +118,6 @@ class ForecastPublisher:
         return answer_message(answer, outlook.sample.stamp)
 
 
-PATIENCE = 2.0
-"""Time after which an unanswered match request is repeated, wall s."""
-BEHIND = 20
-"""Samples for which a plant in step continues while a match is awaited."""
-CHECK = 0.5
-"""Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"
 """Key on /diagnostics: newest sample up to which everything is judged."""
 VERDICTS = "verdicts"
@@ -137,11 +132,12 @@ def plant_report(verdict: Verdict | None, reason: str) -> Report:
     missed = verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None
     if not verdict.fault and missed is None:
         return Report(Level.OK, "the plant responds normally", {})
-    said = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
+    sentence = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
     since = verdict.fault_since if verdict.fault else missed
     values = {"fault": verdict.fault, "channel": verdict.fault_signal, "since sample": since}
+    filled = {key: str(value) for key, value in values.items() if value not in ("", None)}
     level = Level.ERROR if verdict.level is TrustLevel.FAULT else Level.WARN
-    return Report(level, said, {key: str(value) for key, value in values.items() if value not in ("", None)})
+    return Report(level, sentence, filled)
 
 
 class DiscriminatorNode(SampleNode):
@@ -150,6 +146,13 @@ class DiscriminatorNode(SampleNode):
     A request is repeated every `PATIENCE` seconds until it is answered: the matcher may have crashed or
     started late. The answer depends on the request alone, so waiting changes no verdict.
     """
+
+    PATIENCE: Final = 2.0
+    """Time after which an unanswered match request is repeated, wall s."""
+    BEHIND: Final = 20
+    """Samples for which a plant in step continues while a match is awaited."""
+    CHECK: Final = 0.5
+    """Interval at which the pending request is checked, wall s."""
 
     NAME = "discriminator"
 
@@ -181,7 +184,7 @@ class DiscriminatorNode(SampleNode):
         self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
             self.step.wait_for(self._behind)
-        self.wall_timer(CHECK, self._repeat)
+        self.wall_timer(self.CHECK, self._repeat)
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
         """Report on the plant, too."""
@@ -190,7 +193,7 @@ class DiscriminatorNode(SampleNode):
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""
         request = self._discriminator.request
-        return request is not None and (self._watch.last or 0) - request.sample > BEHIND
+        return request is not None and (self._watch.last or 0) - request.sample > self.BEHIND
 
     def work(self, item: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
@@ -208,8 +211,8 @@ class DiscriminatorNode(SampleNode):
             self._newest_index = item.index
             step = self._discriminator.push_sample(item)
         self._publish_step(step)
-        while step.request is not None and (known := self._answer(step.request)) is not None:
-            step = self._discriminator.push_match(known)
+        while step.request is not None and (earlier_match := self._answer(step.request)) is not None:
+            step = self._discriminator.push_match(earlier_match)
             self._publish_step(step)
         if step.request is not None:
             self._tries = 0
@@ -269,7 +272,7 @@ class DiscriminatorNode(SampleNode):
 
     def _repeat(self) -> None:
         pending = self._pending
-        if pending is None or time.monotonic() - self._requested_at < PATIENCE:
+        if pending is None or time.monotonic() - self._requested_at < self.PATIENCE:
             return
         self._request(pending)
         words = f"no answer to the match request of sample {pending.sample}; requested {self._tries} times"

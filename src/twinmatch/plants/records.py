@@ -90,12 +90,12 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
             stand_in(kind, structure, tuple(values))
         return kind.model(structure).parameters(**values)
     model = kind.model(structure_of(kind, values))
-    kept = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
-    if math.isinf(kept.get("sink_heat_capacity", 0.0)):
-        kept["sink_heat_capacity"] = _HELD
-    if not kept.get("sensor_lag", 1.0):
-        kept["sensor_lag"] = _IMMEDIATE
-    return model.parameters(**kept)
+    known_values = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
+    if math.isinf(known_values.get("sink_heat_capacity", 0.0)):
+        known_values["sink_heat_capacity"] = _HELD
+    if not known_values.get("sensor_lag", 1.0):
+        known_values["sensor_lag"] = _IMMEDIATE
+    return model.parameters(**known_values)
 
 
 def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:

@@ -153,8 +153,8 @@ def _read_word(field: RecordField, tree: Tree) -> Any:
     try:
         return field.kind(word)
     except ValueError as error:
-        msg = f"record: {word!r} is unknown; expected one of {', '.join(one.value for one in field.kind)}"
-        raise RecordError(msg) from error
+        expected = ", ".join(member.value for member in field.kind)
+        raise RecordError(f"record: {word!r} is unknown; expected one of {expected}") from error
 
 
 def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
@@ -303,14 +303,14 @@ def differences(
                 continue
             yield from differences(recorded.get(name), computed.get(name), inside, apart)
     elif isinstance(recorded, list) and isinstance(computed, list) and len(recorded) == len(computed):
-        for number, (one, other) in enumerate(zip(recorded, computed, strict=True)):
-            yield from differences(one, other, f"{place}[{number}]", apart)
+        for number, (recorded_item, computed_item) in enumerate(zip(recorded, computed, strict=True)):
+            yield from differences(recorded_item, computed_item, f"{place}[{number}]", apart)
     elif not _same(recorded, computed):
         yield place, recorded, computed
 
 
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, float) and isinstance(other, float | int):
-        both_nan = math.isnan(one) and math.isnan(other)
-        return both_nan or struct.pack("<d", one) == struct.pack("<d", other)
-    return bool(one == other)
+def _same(recorded: Any, computed: Any) -> bool:
+    if isinstance(recorded, float) and isinstance(computed, float | int):
+        both_nan = math.isnan(recorded) and math.isnan(computed)
+        return both_nan or struct.pack("<d", recorded) == struct.pack("<d", computed)
+    return bool(recorded == computed)

@@ -137,9 +137,15 @@ class Ceiling:
         self._age = 0.0  # s
 
     def take(
-        self, slopes: FloatArray, typical: float, reading: float, reference: float,
-        *, learns: bool = True, at_least: float = -math.inf,
-    ) -> None:  # fmt: skip
+        self,
+        slopes: FloatArray,
+        typical: float,
+        reading: float,
+        reference: float,
+        *,
+        learns: bool = True,
+        at_least: float = -math.inf,
+    ) -> None:
         """Take one comparison.
 
         Nothing is learned unless it `learns`, under a limit, or from a reading that is far from the estimate.
@@ -151,8 +157,8 @@ class Ceiling:
         self._see(reading)
         self.share = 1.0 if self._margin >= CAUTION.no_limit else self._share(reading, reference, doubt)
         self._wander()
-        alike = max(WANDER.alike, WANDER.alike_within * self.deviation)
-        if learns and self.seen and self.share >= 1.0 and abs(reading - self.estimate) <= alike:
+        alike_within = max(WANDER.alike, WANDER.alike_within * self.deviation)
+        if learns and self.seen and self.share >= 1.0 and abs(reading - self.estimate) <= alike_within:
             self._beliefs.learn(np.append(slopes, 1.0), reading - typical, WANDER.doubt)
 
     @property
@@ -203,8 +209,8 @@ class Ceiling:
         """Let a sample's time pass for the sensor."""
         beliefs = self._beliefs
         self._age += PERIOD
-        kept = 1.0 - PERIOD / WANDER.follows
-        beliefs.mean[-1] *= kept
-        beliefs.covariance[-1, :] *= kept
-        beliefs.covariance[:, -1] *= kept
+        share_kept = 1.0 - PERIOD / WANDER.follows
+        beliefs.mean[-1] *= share_kept
+        beliefs.covariance[-1, :] *= share_kept
+        beliefs.covariance[:, -1] *= share_kept
         beliefs.covariance[-1, -1] += WANDER.walk(self._age) ** 2 * PERIOD

@@ -139,9 +139,15 @@ class DriveObserver:
         self.ceiling = Ceiling(self.limits.margin, self._deviations)
 
     def take(
-        self, elapsed: float, drive: float, reading: float, disturbances: FloatArray | None = None,
-        *, reference: float = math.inf, believed: bool = True,
-    ) -> str | None:  # fmt: skip
+        self,
+        elapsed: float,
+        drive: float,
+        reading: float,
+        disturbances: FloatArray | None = None,
+        *,
+        reference: float = math.inf,
+        believed: bool = True,
+    ) -> str | None:
         """Take the drive of the last `elapsed` seconds, the newest reading and the set-point; returns an
         error message, or None. Nothing is compared or learned while the reading is not `believed`."""
         if not self._begun or elapsed > LOST:
@@ -166,12 +172,12 @@ class DriveObserver:
     def hotter(self, reading: float) -> str:
         """Why no more drive passes than the ceiling allows."""
         unit = self._unit
-        thing = self._thing
+        driven_part = self._thing
         sensor = self._sensor
         return (
-            f"by its drive the {thing} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} reads "
-            f"{reading:.1f} {unit}: no more drive passes than holds it there; measure the {thing} with "
-            "something else, and clear this if the reading is right"
+            f"by its drive the {driven_part} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} "
+            f"reads {reading:.1f} {unit}: no more drive passes than holds it there; measure the "
+            f"{driven_part} with something else, and clear this if the reading is right"
         )
 
     def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
@@ -231,13 +237,17 @@ class DriveObserver:
         moved, deviation = self._z.moves(slopes)
         self.estimate = estimate = typical + moved
         band = max(self.limits.band, SIGMAS * deviation)
-        off = reading - estimate
-        hotter = off > HOTTER * band or estimate - band > self._highest
-        beyond = hotter or off < -band
+        error = reading - estimate
+        hotter = error > HOTTER * band or estimate - band > self._highest
+        beyond = hotter or error < -band
         self.ceiling.take(
-            slopes, typical, reading, reference, learns=believed and not beyond,
-            at_least=estimate if off < -band else -math.inf,
-        )  # fmt: skip
+            slopes,
+            typical,
+            reading,
+            reference,
+            learns=believed and not beyond,
+            at_least=estimate if error < -band else -math.inf,
+        )
         if not believed:
             self._waiting.clear()
             self._doubted = 0.0
@@ -246,22 +256,22 @@ class DriveObserver:
         self._compared += 1
         while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
-        colder = self._much_colder(slopes, off, band) or self._limited_in_vain(slopes, reading)
+        colder = self._much_colder(slopes, error, band) or self._limited_in_vain(slopes, reading)
         self._doubted = self._doubted + PERIOD if hotter or colder else 0.0
         if self._doubted < self.limits.patience:
             return None
         return self.contradicts(reading, estimate, band)
 
-    def _much_colder(self, slopes: FloatArray, off: float, band: float) -> bool:
+    def _much_colder(self, slopes: FloatArray, error: float, band: float) -> bool:
         """Whether neither a draught nor a room that cools explains how far a reading is below the estimate:
         both take the plant's time constant, while a sensor may slip at once."""
-        if off > -band / 2:
+        if error > -band / 2:
             self._explained = 0.0
             return False
         at_last = self._surroundings_explain(slopes)
-        more = at_last * PERIOD / time_constant(self._typical.model.plant)
-        self._explained = min(at_last, self._explained + more)
-        return off < -(band + self._explained)
+        increase = at_last * PERIOD / time_constant(self._typical.model.plant)
+        self._explained = min(at_last, self._explained + increase)
+        return error < -(band + self._explained)
 
     def _limited_in_vain(self, slopes: FloatArray, reading: float) -> bool:
         """Whether they do not explain either how cold a limited drive leaves the reading."""
@@ -274,22 +284,22 @@ class DriveObserver:
         """By how much a draught or a room that cools lowers the output at last, in its unit."""
         return float(np.max(np.abs(slopes) * self._surroundings))
 
-    def _learn(self, slopes: FloatArray, off: float) -> None:
+    def _learn(self, slopes: FloatArray, deviation: float) -> None:
         """Learn from a reading; one that contradicted the drive teaches nothing."""
         self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / MEMORY
-        if not math.isnan(off):
-            self._z.learn(slopes, off, DOUBT * self.limits.band)
+        if not math.isnan(deviation):
+            self._z.learn(slopes, deviation, DOUBT * self.limits.band)
 
     def contradicts(self, reading: float, estimate: float, band: float) -> str:
         """What a reading outside the band about an estimate says."""
         unit = self._unit
-        thing = self._thing
+        driven_part = self._thing
         sensor = self._sensor
-        other = ", something else heats it" if reading > estimate else ""
+        another_heater = ", something else heats it" if reading > estimate else ""
         return (
-            f"by its drive the {thing} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} reads "
-            f"{reading:.1f} {unit}: the drive is lost{other}, or the {sensor} does not see the {thing}; "
-            "check both"
+            f"by its drive the {driven_part} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} "
+            f"reads {reading:.1f} {unit}: the drive is lost{another_heater}, or the {sensor} does not see "
+            f"the {driven_part}; check both"
         )
 
 

@@ -100,21 +100,21 @@ def number_at(document: Any, path: str) -> float:
     Raises:
         SamplingError: there is none; the error lists those there are.
     """
-    found = document
+    value = document
     for step in _steps(path):
         try:
-            found = found[step if isinstance(found, list) else str(step)]
+            value = value[step if isinstance(value, list) else str(step)]
         except (LookupError, TypeError):
             raise SamplingError(f"no {path!r}; its numbers: {_listed(document)}") from None
-    if isinstance(found, dict | list):
-        paths = [below for below, _ in numbers_in(found)]
+    if isinstance(value, dict | list):
+        paths = [below for below, _ in numbers_in(value)]
         if path or len(paths) != 1:
             raise SamplingError(f"several numbers or none; choose one: {_listed(document)}")
         return number_at(document, paths[0])
     try:
-        return _WORDS[found.lower()] if isinstance(found, str) and found.lower() in _WORDS else float(found)
+        return _WORDS[value.lower()] if isinstance(value, str) and value.lower() in _WORDS else float(value)
     except (TypeError, ValueError, OverflowError):
-        raise SamplingError(f"{str(found)[:40]!r} is not a number") from None
+        raise SamplingError(f"{str(value)[:40]!r} is not a number") from None
 
 
 def stamp_at(document: Any, path: str) -> int:
@@ -123,16 +123,16 @@ def stamp_at(document: Any, path: str) -> int:
     Raises:
         SamplingError: there is none.
     """
-    found = document
+    value = document
     for step in _steps(path):
-        found = found.get(step) if isinstance(found, dict) else None
+        value = value.get(step) if isinstance(value, dict) else None
     try:
-        if isinstance(found, str):
-            return round(datetime.fromisoformat(found.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
-        seconds = float(found)
+        if isinstance(value, str):
+            return round(datetime.fromisoformat(value.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
+        seconds = float(value)
         return round((seconds / 1e3 if seconds > _MILLISECONDS else seconds) * NANOSECONDS)
     except (TypeError, ValueError, OverflowError):
-        raise SamplingError(f"no time at {path!r}, but {str(found)[:40]!r}") from None
+        raise SamplingError(f"no time at {path!r}, but {str(value)[:40]!r}") from None
 
 
 def numbers_in(document: Any, path: str = "", deep: int = _DEEP) -> Iterator[tuple[str, float]]:

@@ -305,16 +305,16 @@ class Sampler:
             tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
         )
 
-    def _check_value(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
+    def _check_value(self, name: str, value: float | None, tick_time: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
         limits = self.limits[name]
         counts = self.counts[name]
-        at = self._buffers[name].time
-        if value is None or at is None:
+        measured = self._buffers[name].time
+        if value is None or measured is None:
             counts.missing += 1
             troubles[name] = f"no {name} yet"
             return math.nan
-        age = (now - at) / NANOSECONDS
+        age = (tick_time - measured) / NANOSECONDS
         if limits.max_age and age > limits.max_age:
             counts.late += 1
             troubles[name] = f"the newest {name} is {age:.1f} s old"
@@ -392,10 +392,12 @@ class SignalBuffer:
             self._values.popleft()
         if not self._values or self._values[0][0] > start:
             return None
-        steps = [(max(at, start), value) for at, value in self._values if at < end]
-        if len({value for _, value in steps}) == 1:  # exactly, without the rounding of a sum
-            return steps[0][1]
-        ends = [at for at, _ in steps[1:]] + [end]
-        total = math.fsum(value * (until - at) for (at, value), until in zip(steps, ends, strict=True))
-        values = [value for _, value in steps]
+        before_end = [(stamp, value) for stamp, value in self._values if stamp < end]
+        values = [value for _, value in before_end]
+        if len(set(values)) == 1:  # exactly, without the rounding of a sum
+            return values[0]
+        begins = [max(stamp, start) for stamp, _ in before_end]
+        ends = [*begins[1:], end]
+        spans = zip(values, begins, ends, strict=True)
+        total = math.fsum(value * (span_end - begin) for value, begin, span_end in spans)
         return min(max(total / (end - start), min(values)), max(values))

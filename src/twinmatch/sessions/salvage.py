@@ -79,8 +79,8 @@ def _with_times(row: Sequence[Message]) -> list[Message]:
         if message.is_sound or not _is_far(times, number):
             result.append(message)
             continue
-        at = result[-1].log_time if result else int(median(times))
-        result.append(message._replace(log_time=at, publish_time=at))
+        time_before = result[-1].log_time if result else int(median(times))
+        result.append(message._replace(log_time=time_before, publish_time=time_before))
     return result
 
 
@@ -140,13 +140,13 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
     begins = [samples[place].stamp - samples[place].index * period for place in places]
     shapes = [samples[place].shape for place in places]
     likely: list[int] = []
-    kept: set[int] = set()
+    trusted: set[int] = set()
     last = -1
     for number, place in enumerate(places):
         near = slice(max(0, number - _SIDE), number + _SIDE + 1)
         if place in sound:
-            kept |= _rising(likely, samples, last, samples[place].index)
-            kept.add(place)
+            trusted |= _rising(likely, samples, last, samples[place].index)
+            trusted.add(place)
             likely = []
             last = samples[place].index
         elif len(places) == 1 or (
@@ -154,7 +154,7 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
             and shapes[number] == max(shapes[near], key=shapes[near].count)
         ):
             likely.append(place)
-    return kept | _rising(likely, samples, last, None)
+    return trusted | _rising(likely, samples, last, None)
 
 
 def _rising(places: Sequence[int], samples: Mapping[int, Sample], above: int, below: int | None) -> set[int]:

@@ -201,9 +201,9 @@ class SessionWriter:
         Raises:
             SessionError: a topic of that name has another type or QoS.
         """
-        known = self._topics.get(topic.name)
-        if known is not None:
-            if known != topic:
+        added = self._topics.get(topic.name)
+        if added is not None:
+            if added != topic:
                 msg = f"session {self.name}: {topic.name} was added before with another type or QoS"
                 raise SessionError(msg)
             return
