@@ -10,7 +10,7 @@ import pytest
 from tests.support.malformed import KINDS, readings
 from twinmatch.decoding import FiniteNumber, decoded, decoded_json
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.tables import MAX_COLUMNS, RecordingError, read_table, split_title
+from twinmatch.importing.tables import LIMITS, RecordingError, read_table, split_title
 
 DOCUMENTS = 30
 
@@ -60,7 +60,7 @@ def test_a_title_is_split_in_one_way(tmp_path: Path) -> None:
     assert split_title("( " * 200 + "x" + " " * 400) == (("( " * 200 + "x"), "")
     path = tmp_path / "wide.csv"
     path.write_text(
-        "\n".join(",".join("1" if k else f"c{n}" for n in range(MAX_COLUMNS + 1)) for k in range(4))
+        "\n".join(",".join("1" if k else f"c{n}" for n in range(LIMITS.columns + 1)) for k in range(4))
     )
     with pytest.raises(
         RecordingError, match=r"has 2001 columns, more than 2000; give each sample its own row"

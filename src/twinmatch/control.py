@@ -268,37 +268,48 @@ class Loop:
         references = None if wanted is None else point_values(wanted)
         trouble = self._doubt(now, references)
         if trouble or references is None:
-            self.trouble = trouble
-            self.inputs = [0.0] * len(self._pids)
-            self._restart = True
-            if self.trying:
-                self.take_back(trouble)
-            if self._number is not None:
-                self.idle += 1
-                self._number = number
+            self._switch_off(trouble, number)
             return None
         if self._number is None:
             self._origin = now
-            number = 0
         elif number != self._number + 1:
-            self._restart = True
-            if self.trial is not None and self.trying:
-                lost = (math.nan,) * len(self._pids)
-                self._show(self.trial, repeat(lost, number - self._number - 1))
+            self._continue_after_gap(number - self._number - 1)
         self._number = number
         self.trouble = ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
+        commands = self._commands(references)
+        return Sample(number, now, references, self._outputs, tuple(commands), self._disturbances)
+
+    def _switch_off(self, trouble: str, number: int) -> None:
+        """Switch the output off at a tick that makes no sample."""
+        self.trouble = trouble
+        self.inputs = [0.0] * len(self._pids)
+        self._restart = True
+        if self.trying:
+            self.take_back(trouble)
+        if self._number is not None:
+            self.idle += 1
+            self._number = number
+
+    def _continue_after_gap(self, missed: int) -> None:
+        """Restart the controllers behind missed ticks, of which a trial has no readings."""
+        self._restart = True
+        if self.trial is not None and self.trying:
+            lost = (math.nan,) * len(self._pids)
+            self._show(self.trial, repeat(lost, missed))
+
+    def _commands(self, references: Signals) -> list[float]:
+        """The commands of this tick as far as they pass; at rest while a fault holds the drives."""
         if self.held:
             self.inputs = [drive.rest for drive in self._plant.drives.values()]
             self._restart = True
-            commands = self.inputs
-        else:
-            if self.trial is not None and self.trying:
-                self._watch(self.trial, references)
-            commands = [self._step(k, references[k]) for k in range(len(self._pids))]
-            self._restart = False
-        return Sample(number, now, references, self._outputs, tuple(commands), self._disturbances)
+            return self.inputs
+        if self.trial is not None and self.trying:
+            self._watch(self.trial, references)
+        commands = [self._step(k, references[k]) for k in range(len(self._pids))]
+        self._restart = False
+        return commands
 
     def try_law(self, law: Law, trial: LawTrial) -> None:
         """Put a law on trial: in the shadow of the one that runs, or driving from the next tick on.

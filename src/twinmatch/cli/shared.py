@@ -29,11 +29,11 @@ EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
 
 
-def exit_code(done: int, skipped: int) -> int:
+def exit_code(used: int, skipped: int) -> int:
     """The exit code of a command for several sessions."""
     if not skipped:
         return 0
-    return EXIT_PARTLY if done else EXIT_USER_ERROR
+    return EXIT_PARTLY if used else EXIT_USER_ERROR
 
 
 def speed(text: str) -> float:
@@ -148,8 +148,8 @@ def positive_period(options: argparse.Namespace, command: str) -> float | None:
     return period
 
 
-def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
-    """A parser of positive finite numbers; the error says that the text is not `what`."""
+def positive(kind: Callable[[str], float], expected: str) -> Callable[[str], float]:
+    """A parser of positive finite numbers; the error says that the text is not what is `expected`."""
 
     def parse(text: str) -> float:
         try:
@@ -157,7 +157,7 @@ def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
         except ValueError:
             value = 0.0
         if not 0.0 < value < float("inf"):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}")
         return value
 
     return parse
@@ -241,16 +241,16 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def _compile(self, what: str) -> None:
-        self.show(f"{self._doing}, compiling {what} once on this machine", *self._at)
+    def _compile(self, compiled: str) -> None:
+        self.show(f"{self._doing}, compiling {compiled} once on this machine", *self._at)
 
-    def advance(self, done: int, total: int) -> None:
-        """Show that `done` of `total` are done."""
-        self.show(self._doing, done, total)
+    def advance(self, parts_done: int, total: int) -> None:
+        """Show that `parts_done` of `total` are done."""
+        self.show(self._doing, parts_done, total)
 
-    def show(self, doing: str, done: int, total: int) -> None:
-        """Show what is being done, and that `done` of `total` parts of it are; 0 parts: nobody knows."""
-        self._at = done, total
+    def show(self, doing: str, parts_done: int, total: int) -> None:
+        """Show what is being done, and that `parts_done` of its `total` parts are; 0 parts: nobody knows."""
+        self._at = parts_done, total
         if self._bar is None and self._shown:
             from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
 
@@ -260,10 +260,10 @@ class Progress:
             self._task = self._bar.add_task(doing, total=None)
             self._bar.start()
         if self._bar is not None:
-            self._bar.update(self._task, description=doing, completed=done, total=total or None)
+            self._bar.update(self._task, description=doing, completed=parts_done, total=total or None)
         elif not self._shown and time.monotonic() - self._said_at >= self.SILENCE:
             self._said_at = time.monotonic()
-            share = f", {done / total:.0%} done" if total else ""
+            share = f", {parts_done / total:.0%} done" if total else ""
             print(f"twinmatch: {doing}{share}", file=sys.stderr, flush=True)
 
 

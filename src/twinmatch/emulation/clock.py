@@ -19,17 +19,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 
 _MAX_NUMBER = 32
-_MAX_HEARD = 256
-"""Longest line, bytes; who sends a longer one is dropped."""
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
-_FIRST_PAUSE = 0.1
-_MAX_PAUSE = 2.0
 
 
 class ClockError(TwinmatchError):
@@ -84,6 +81,9 @@ class _ClockReader:
 class LineServer:
     """A listening socket, without a thread, whose clients send lines: its owner's loop calls it."""
 
+    _MAX_HEARD: Final = 256
+    """Longest line, bytes; who sends a longer one is dropped."""
+
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
         self._listener.setblocking(False)
@@ -109,7 +109,7 @@ class LineServer:
             except OSError:
                 received = b""
             *lines, unfinished = (self._clients[client] + received).split(b"\n")
-            if not received or max(map(len, (*lines, unfinished))) > _MAX_HEARD:
+            if not received or max(map(len, (*lines, unfinished))) > self._MAX_HEARD:
                 self._drop(client)
                 continue
             self._clients[client] = unfinished
@@ -207,6 +207,9 @@ class ClockServer(LineServer):
 class ClockClient(Background):
     """A reader's side: a thread that calls `tell` with the newest time, and reconnects when necessary."""
 
+    _FIRST_PAUSE: Final = 0.1
+    _MAX_PAUSE: Final = 2.0
+
     def __init__(self, address: tuple[str, int], tell: Callable[[int], None]) -> None:
         super().__init__("plant clock", self._keep_following, 3.0)
         self.address = address
@@ -229,14 +232,14 @@ class ClockClient(Background):
                 self._connection.sendall(b"%s %d\n" % (kind.encode(), self._said[kind]))
 
     def _keep_following(self) -> None:
-        pause = _FIRST_PAUSE
+        pause = self._FIRST_PAUSE
         while not self.ending.is_set():
             try:
                 with socket.create_connection(self.address, timeout=1.0) as connection:
                     # Or a word would wait 40 ms for the acknowledgement of the one before.
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     self.error = ""
-                    pause = _FIRST_PAUSE
+                    pause = self._FIRST_PAUSE
                     with self._lock:
                         self._connection = connection
                         for kind in self._said:
@@ -246,7 +249,7 @@ class ClockClient(Background):
                 self.error = str(error)
             self._connection = None
             self.ending.wait(pause)
-            pause = min(2 * pause, _MAX_PAUSE)
+            pause = min(2 * pause, self._MAX_PAUSE)
 
     def _follow(self, connection: socket.socket) -> None:
         connection.settimeout(0.2)

@@ -54,9 +54,9 @@ class PlantSignal(NamedTuple):
     high: float = math.inf
 
 
-def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> SignalMap:
+def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
-    sources = dict(by_signal(plant, given.sources))
+    sources = dict(by_signal(plant, signal_map.sources))
     used_titles = {
         table.find(place) for source in sources.values() for place in with_titles(table, source).places
     }
@@ -68,7 +68,7 @@ def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> Sign
         if title is not None:
             sources[signal] = SignalSource((title,))
             used_titles.add(title)
-    return SignalMap(sources, given.plant, given.period)
+    return SignalMap(sources, signal_map.plant, signal_map.period)
 
 
 def _titles_by_name(table: Table) -> dict[str, list[str]]:
@@ -98,7 +98,7 @@ def _only_free_title(
 
 def map_samples(
     table: Table,
-    given: SignalMap,
+    signal_map: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -108,7 +108,7 @@ def map_samples(
 
     Args:
         table: the table.
-        given: its columns by signal.
+        signal_map: its columns by signal.
         plant: what they are signals of.
         longest: longest step between rows that is interpolated, s; three usual ones if not given.
         gaps: treatment of longer steps, and of steps back; where they split the table, the samples' indices
@@ -119,10 +119,10 @@ def map_samples(
             range, or a gap is too long.
     """
     sources = {
-        signal: with_titles(table, source) for signal, source in by_signal(plant, given.sources).items()
+        signal: with_titles(table, source) for signal, source in by_signal(plant, signal_map.sources).items()
     }
-    signals, notes = _wanted(table, plant, replace(given, sources=sources))
-    times = times_of(table, sources.get(TIME), given.period)
+    signals, notes = _wanted(table, plant, replace(signal_map, sources=sources))
+    times = times_of(table, sources.get(TIME), signal_map.period)
     values = {
         signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
     }
@@ -136,13 +136,13 @@ def map_samples(
         times.seconds[rows],
         {signal: column[rows] for signal, column in values.items()},
         {signal: properties.kind for signal, properties in signals.items()},
-        given.period,
+        signal_map.period,
         longest=longest,
         gaps=gaps,
         place=str(table.path),
         row=lambda i: table.row_name(int(rows[i])),
     )
-    if given.period is None:
+    if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
@@ -197,14 +197,14 @@ def with_titles(table: Table, source: SignalSource) -> SignalSource:
     return replace(source, places=tuple(map(table.find, places)))
 
 
-def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
+def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
     """Check that a map has these signals, and times or the distance of the rows.
 
     Raises:
         RecordingError: something is missing.
     """
-    missing = [signal for signal in needed if signal not in given.sources]
-    missing = missing if given.period is not None or TIME in given.sources else [TIME, *missing]
+    missing = [signal for signal in needed if signal not in signal_map.sources]
+    missing = missing if signal_map.period is not None or TIME in signal_map.sources else [TIME, *missing]
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
@@ -215,15 +215,17 @@ def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUT
         raise RecordingError(msg + (rows if TIME in missing else ""))
 
 
-def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[str, PlantSignal], list[str]]:
+def _wanted(
+    table: Table, plant: type[Plant], signal_map: SignalMap
+) -> tuple[dict[str, PlantSignal], list[str]]:
     """The plant's signals that are taken from the table, and notes on those that are not there.
 
     Raises:
         RecordingError: a column that is needed is not mapped.
     """
     loop = LoopNames.of(plant)
-    sources = given.sources
-    require_columns(table, given, (*loop.outputs, *loop.inputs))
+    sources = signal_map.sources
+    require_columns(table, signal_map, (*loop.outputs, *loop.inputs))
     outputs = plant.outputs.values()
     signals = {}
     notes = []

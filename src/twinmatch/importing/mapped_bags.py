@@ -33,7 +33,7 @@ from twinmatch.signals import FloatArray
 
 def map_bag(
     path: Path,
-    given: SignalMap,
+    signal_map: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -48,7 +48,7 @@ def map_bag(
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
     """
-    sources = by_signal(plant, given.sources)
+    sources = by_signal(plant, signal_map.sources)
     loop = LoopNames.of(plant)
     _require_mapped(path, loop, sources)
     with open_bag(path) as bag:
@@ -66,7 +66,7 @@ def map_bag(
     rows = _Rows(path, loop, signals, sources)
     used, row_losses = rows.with_all_signals(longest, gaps)
     table = _table(path, rows.columns(used, longest), used, stretches)
-    run = map_samples(table, _own_map(table, given), plant, longest=longest, gaps=gaps)
+    run = map_samples(table, _own_map(table, signal_map), plant, longest=longest, gaps=gaps)
     counts = {name: channels[0].values.size for name, channels in recorded.items()}
     account = _account(counts, loop, int(used.sum()), [*losses, *row_losses])
     return run._replace(sources=sources, notes=[*run.notes, *bag_notes, *clock_notes, account])
@@ -238,10 +238,10 @@ def _table(
     return Table(path, by_clock, readings, "reading")
 
 
-def _own_map(table: Table, given: SignalMap) -> SignalMap:
+def _own_map(table: Table, signal_map: SignalMap) -> SignalMap:
     """The map of a table whose columns have the names of signals and are in the plant's units."""
     columns = {name: SignalSource((name,), "s" if name == TIME else "") for name in table.columns}
-    return SignalMap(columns, given.plant, given.period)
+    return SignalMap(columns, signal_map.plant, signal_map.period)
 
 
 def _account(counts: Mapping[str, int], loop: LoopNames, used: int, losses: Sequence[Loss]) -> str:

@@ -36,22 +36,30 @@ Kind = Literal["reading", "held", "set"]
 Gaps = Literal["refuse", "split"]
 """Treatment of a gap that is too long to interpolate."""
 
+
+@dataclass(frozen=True)
+class StepRules:
+    """What steps between rows mean, in usual steps: the usual step is their median."""
+
+    bridged: float = 3.0
+    """Longest step that is interpolated by default: up to two lost rows."""
+    without_loss: float = 1.5
+    """Longer steps contain lost rows."""
+    jitter: float = 0.1
+    """Largest deviation of a step between ticks."""
+    crowded: float = 0.5
+    """Shortest period that can be requested, so that most ticks have their own row."""
+    back: float = 0.1
+    """Largest share of the steps that lead back where a clock was set; more are rows out of order."""
+
+
+_STEPS: Final = StepRules()
 _ON_CLOCK: Final = 1e-3
 """A row this close to its tick, as a share of the period, is used unchanged."""
-_BRIDGED: Final = 3.0
-"""Longest step that is interpolated by default, in usual steps: up to two lost rows."""
-_USUAL: Final = 1.5
-"""Longer steps, in medians, contain lost rows."""
-_RARELY: Final = 0.1
-"""Largest share of the steps that lead back where a clock was set; more are rows out of order."""
 _FEW: Final = 20
 """Rows from which times that all repeat are rounded ones."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
-_JITTER: Final = 0.1
-"""Largest deviation of a step between ticks from the usual step, as a share of it."""
-_CROWDED: Final = 0.5
-"""Shortest period that can be requested, in usual steps, so that most ticks have their own row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +181,7 @@ def resample(
     stretches = np.split(stamps, cuts + 1)
     if period is None:
         period = _default_period(stretches, bridged_steps, usual)
-    elif not (np.isfinite(period) and period >= _CROWDED * usual):
+    elif not (np.isfinite(period) and period >= _STEPS.crowded * usual):
         raise RecordingError(
             f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
             "that"
@@ -201,7 +209,7 @@ def resample(
         rows=stamps.size,
         steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & is_bridged).tolist()),
+        bridged=tuple(np.flatnonzero((steps > _STEPS.without_loss * usual) & is_bridged).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
 
@@ -220,7 +228,7 @@ def period_of_ticks(
     _refuse_standing(time, place, row)
     steps = np.diff(time)
     usual = usual_step(steps)
-    odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
+    odd = np.flatnonzero(np.abs(steps - usual) > _STEPS.jitter * usual)
     if odd.size:
         first = int(odd[0])
         raise RecordingError(
@@ -235,7 +243,7 @@ def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
 
     `stamps` are the increasing times of at least two rows, s.
     """
-    return _BRIDGED * usual_step(np.diff(stamps)) if longest is None else longest
+    return _STEPS.bridged * usual_step(np.diff(stamps)) if longest is None else longest
 
 
 def usual_step(steps: FloatArray) -> float:
@@ -287,7 +295,7 @@ def _refuse_standing(
 ) -> None:
     """Refuse time that does not advance; to `split` where it goes back, that must be rare."""
     steps = np.diff(stamps)
-    rare = split and (steps < 0).sum() <= _RARELY * steps.size
+    rare = split and (steps < 0).sum() <= _STEPS.back * steps.size
     back = np.flatnonzero(steps == 0 if rare else steps <= 0)
     if back.size:
         first = int(back[0])
@@ -365,9 +373,12 @@ def held_means(
     `values` apply from `stamps` (s, increasing, shape (N,)) on, each until the next, the last for ever. The
     means are differences of the integral, which is linear between the stamps.
     """
-    edges = np.append(stamps, max(stamps[-1], begins[-1]) + np.ravel(widths)[-1])
+    last_end = max(stamps[-1], begins[-1]) + np.ravel(widths)[-1]
+    edges = np.append(stamps, last_end)
     integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
-    means = (np.interp(ends, edges, integral) - np.interp(begins, edges, integral)) / widths
+    until_end = np.interp(ends, edges, integral)
+    until_begin = np.interp(begins, edges, integral)
+    means = (until_end - until_begin) / widths
     # Rounding errors of the differences must not exceed a limit of the input.
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 

@@ -83,11 +83,15 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         RecordingError: a cell is not a time, or the unit is not one of time.
     """
     texts = table.texts.get(title)
-    if texts and not np.isfinite(table.columns[title][: min(texts)]).any():
-        order = order_of(texts.values()) if is_local(next(iter(texts.values()))) else ""
-        return _since(_dates(table, title, texts, order))._replace(order=order)
+    if texts:
+        before_first_text = table.columns[title][: min(texts)]
+        if not np.isfinite(before_first_text).any():
+            first_text = next(iter(texts.values()))
+            order = order_of(texts.values()) if is_local(first_text) else ""
+            return _since(_dates(table, title, texts, order))._replace(order=order)
     values = table.values(title) * scale
-    size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    sizes = np.abs(values[np.isfinite(values)])
+    size = float(np.max(sizes, initial=0.0))
     unit = unit or table.unit(title) or unit_in(title)
     if unit:
         per_second = _per_second(table, title, unit)

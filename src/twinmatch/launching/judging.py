@@ -36,13 +36,13 @@ class Judging(Background):
     LEAVE: Final = 5.0
     """Longest time to judge at the end what has been sampled, s."""
 
-    def __init__(self, settings: TwinSettings, given: Sequence[Candidate], *, shown: bool) -> None:
+    def __init__(self, settings: TwinSettings, candidates: Sequence[Candidate], *, shown: bool) -> None:
         """Start. `shown`: whether forecasts are wanted too."""
         self.judged: SimpleQueue[Judged] = SimpleQueue()
         self.snapshot = Snapshot()
         """The newest, from which questions are answered; only where forecasts are wanted."""
         self._samples: SimpleQueue[Sample] = SimpleQueue()
-        self._twin = Twin(settings, given)
+        self._twin = Twin(settings, candidates)
         self._shown = shown
         self._mirror = Mirror(
             settings.start,

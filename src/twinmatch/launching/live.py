@@ -177,14 +177,16 @@ class Errors:
 
     def _show(self, name: str, text: str, style: str) -> None:
         wall_now = time.monotonic()
-        for old in [key for key, lines in self._shown.items() if wall_now - lines[-1][0] > SPAN]:
-            del self._shown[old]
+        for part, lines in list(self._shown.items()):
+            newest, _ = lines[-1]
+            if wall_now - newest > SPAN:
+                del self._shown[part]
         if name not in self._shown and len(self._shown) >= 2 * MAX_NODES:
             return
         shown = self._shown.setdefault(name, deque(maxlen=self.MAX_LINES))
+        recent = [kind for shown_at, kind in shown if wall_now - shown_at < SPAN]
         kind = kind_of(text)[: self.MAX_TEXT]
-        repeats = sum(before == kind and wall_now - shown_at < SPAN for shown_at, before in shown)
-        if repeats >= self.MAX_REPEATS or (len(shown) == self.MAX_LINES and wall_now - shown[0][0] < SPAN):
+        if len(recent) == self.MAX_LINES or recent.count(kind) >= self.MAX_REPEATS:
             return
         shown.append((wall_now, kind))
         text = text if len(text) <= self.MAX_TEXT else f"{text[: self.MAX_TEXT]}…"

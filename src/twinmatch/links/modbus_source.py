@@ -41,10 +41,6 @@ _FORM: Final = "write modbus://HOST:PORT/UNIT or modbus+rtu:///dev/ttyUSB0?baud=
 _ANSWERS: Final = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "device failure"}
 _FUNCTIONS: Final = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 """Code of the function that reads a table."""
-_ERROR: Final = 0x80
-"""Bit of the function code that marks an answer as an error."""
-_QUOTED: Final = 24
-"""Most bytes of an answer that a message quotes."""
 _PATIENCE: Final = 1.0
 """Longest wait for a connection or an answer, and the pause after a failure, s."""
 
@@ -77,6 +73,11 @@ _READ_ANSWERS: Final = [
 
 class ModbusDevice:
     """One unit, for one thread at a time; reading connects where there is no connection."""
+
+    _ERROR: Final = 0x80
+    """Bit of the function code that marks an answer as an error."""
+    _QUOTED: Final = 24
+    """Most bytes of an answer that a message quotes."""
 
     def __init__(self, url: str) -> None:
         """Parse the URL; raise a ModbusError if it cannot be used."""
@@ -137,9 +138,9 @@ class ModbusDevice:
             raise ModbusError(
                 f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {to_check}"
             ) from error
-        if got.function_code & ~_ERROR != _FUNCTIONS[table]:
+        if got.function_code & ~self._ERROR != _FUNCTIONS[table]:
             self._leave()
-            code = got.function_code & ~_ERROR
+            code = got.function_code & ~self._ERROR
             raise ModbusError(
                 f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
                 f"({self._quoted}); is this a Modbus device?"
@@ -156,7 +157,7 @@ class ModbusDevice:
     @property
     def _quoted(self) -> str:
         """The bytes since the last request, in hexadecimal."""
-        return self._received[:_QUOTED].hex(" ") + (" …" if len(self._received) > _QUOTED else "")
+        return self._received[: self._QUOTED].hex(" ") + (" …" if len(self._received) > self._QUOTED else "")
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         if not sending:

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import serial
 
@@ -142,19 +142,15 @@ def open_port(port: str, timeout: float) -> serial.Serial:
     return wire
 
 
-_SHORT = 0.005
-"""Wait for a reply of a board in step, s."""
-_FIRST_PAUSE = 0.1
-_MAX_PAUSE = 2.0
-"""Pauses between attempts to reopen a lost port, s; each is twice the one before."""
-
-
 class Patience:
     """The time left for a reply: by the wall clock, and by that of a virtual plant in step, which may wait.
 
     `plant_time` lets a moment of plant time pass for the board to reply, and returns it, s (None: no longer
     in step).
     """
+
+    _SHORT: Final = 0.005
+    """Wait for a reply of a board in step, s."""
 
     def __init__(self, timeout: float, plant_time: Callable[[], float | None] | None = None) -> None:
         self._plant_time = plant_time or (lambda: None)
@@ -165,7 +161,7 @@ class Patience:
         """How long to wait before the next call, s; none if not positive."""
         plant_now = self._plant_time()
         if plant_now is not None and plant_now < self._plant_end:
-            return _SHORT
+            return self._SHORT
         return self._end - time.monotonic()
 
 
@@ -192,6 +188,10 @@ class PwmLink:
     As a context manager it opens on entry, and sets zero and closes on exit. After opening, the board's
     output is off and latched: call `clear()` once, then `command()`.
     """
+
+    _FIRST_PAUSE: Final = 0.1
+    _MAX_PAUSE: Final = 2.0
+    """Pauses between attempts to reopen a lost port, s; each is twice the one before."""
 
     def __init__(self, port: str, settings: LinkSettings | None = None) -> None:
         self.port = port
@@ -253,7 +253,7 @@ class PwmLink:
             PwmLinkError: the error of the last attempt.
         """
         start = time.monotonic()
-        pause = _FIRST_PAUSE
+        pause = self._FIRST_PAUSE
         while True:
             try:
                 return self.open()
@@ -263,7 +263,7 @@ class PwmLink:
                 if time.monotonic() - start + pause > patience:
                     raise
             time.sleep(pause)
-            pause = min(2 * pause, _MAX_PAUSE)
+            pause = min(2 * pause, self._MAX_PAUSE)
 
     def command(self, pwm: float) -> Applied:
         """Set the output to `pwm`, −255 to 255, rounded to a whole number; positive heats.

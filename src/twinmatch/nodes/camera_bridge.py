@@ -14,8 +14,7 @@ from std_msgs.msg import Float64, Header
 
 from twinmatch.links import Background
 from twinmatch.links.thermal_client import (
-    FULL_COUNT,
-    NO_COUNT,
+    COUNT_ENDS,
     ClientSettings,
     LinkState,
     Received,
@@ -44,16 +43,16 @@ class WallToRos:
         self._last: tuple[int, int] | None = None
         self._pace = 1.0
 
-    def at(self, taken: int, *, wall: int, ros: int, simulated: bool) -> int:
-        """The ROS time of the monotonic time `taken`, given current readings of both clocks; all in ns."""
+    def at(self, image_time: int, *, wall: int, ros: int, simulated: bool) -> int:
+        """The ROS time of a monotonic `image_time`, given current readings of both clocks; all in ns."""
         if not simulated:
-            return ros - (wall - taken)
+            return ros - (wall - image_time)
         if self._last is not None and wall > self._last[0]:
             pace = (ros - self._last[1]) / (wall - self._last[0])
             if 0.0 <= pace <= CLOCK_STRIDE.fastest:
                 self._pace += SMOOTHING * (pace - self._pace)
         self._last = (wall, ros)
-        return max(0, ros - round((wall - taken) * self._pace))  # a clock that is not set yet reads 0
+        return max(0, ros - round((wall - image_time) * self._pace))  # a clock that is not set yet reads 0
 
 
 CENTIKELVIN = 0.01
@@ -65,8 +64,8 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
     if exposure.resolution == CENTIKELVIN:
         return counts
     scaled = np.rint(counts * (exposure.resolution / CENTIKELVIN))
-    scaled = np.clip(scaled, NO_COUNT + 1, FULL_COUNT - 1)
-    return np.where((counts == NO_COUNT) | (counts == FULL_COUNT), counts, scaled).astype(np.uint16)
+    scaled = np.clip(scaled, COUNT_ENDS.lowest + 1, COUNT_ENDS.highest - 1)
+    return np.where(COUNT_ENDS.include(counts), counts, scaled).astype(np.uint16)
 
 
 def raw_image(exposure: Exposure, header: Header) -> Image:

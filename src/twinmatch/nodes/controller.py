@@ -251,10 +251,10 @@ class ControllerNode(TwinmatchNode):
     NAME = "controller"
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the plant that is named."""
         try:
-            return controller_table(find_plant(str(given.get("plant", Peltier.name)))), given
+            return controller_table(find_plant(str(overrides.get("plant", Peltier.name)))), overrides
         except PlantError as error:
             raise ParameterError(f"{cls.NAME}: {error}") from error
 

@@ -222,12 +222,12 @@ class DiscriminatorNode(SampleNode):
             self.health.withdraw("match")
         self.health.set(SETTLED, self._discriminator.settled)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take the results of a discriminator before this one, which are not published again."""
         if not self._stream.begun:
-            self._published_before = said.scores_heard
-            self._forecasts.heard = said.forecasts_heard
-        self._answers += map(record_of, said.match)
+            self._published_before = answer.scores_heard
+            self._forecasts.heard = answer.forecasts_heard
+        self._answers += map(record_of, answer.match)
 
     def _stamp_of(self, record: Verdict | twin.MatchRequest) -> int:
         """Stamp of the sample of a verdict or request, ns; 0: it was so long ago that it is forgotten."""

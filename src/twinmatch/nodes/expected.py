@@ -28,7 +28,7 @@ from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check
 from twinmatch.nodes.messages import LOOP, nanoseconds, sample_from
 from twinmatch.plants import UnknownPlantError
 from twinmatch.sessions.encoding import SAMPLED
-from twinmatch.signals import counted, incomplete
+from twinmatch.signals import FloatArray, counted, incomplete
 from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours
 from twinmatch_msgs.srv import ApplyLaw, Experiment, Past, TryLaw, WhatIf
@@ -111,11 +111,11 @@ def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
         raise MessageError(f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}")
 
 
-def _among(words: Iterable[str], listed: Iterable[str], what: str) -> None:
+def _among(words: Iterable[str], listed: Iterable[str], kind: str) -> None:
     accepted = {"", *listed}
     unknown = [word for word in words if word not in accepted]
     if unknown:
-        raise MessageError(f"{what} {unknown[0][:40]!r} is not among those listed")
+        raise MessageError(f"{kind} {unknown[0][:40]!r} is not among those listed")
 
 
 def _in_order(message: Any) -> None:
@@ -206,12 +206,20 @@ def _check_accepted(message: Any, size: int) -> None:
         if not all(map(math.isfinite, getattr(message, name))):
             raise MessageError(f"{name} of an accepted match is not finite")
     covariance = np.array(message.covariance).reshape(size, size)
-    errors = np.sqrt(np.abs(np.diag(covariance)))
-    whole = bool((np.diag(covariance) > 0).all())
-    if not whole or np.linalg.eigvalsh(covariance / np.outer(errors, errors)).min(initial=0.0) < -1e-6:
+    if not _is_positive(covariance):
         raise MessageError("covariance is none: it has an eigenvalue that is not positive")
     if not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise MessageError("covariance is not symmetric")
+
+
+def _is_positive(covariance: FloatArray) -> bool:
+    """Whether all variances are positive, and all eigenvalues of the correlations, but for rounding."""
+    variances = np.diag(covariance)
+    if not (variances > 0).all():
+        return False
+    errors = np.sqrt(variances)
+    correlations = covariance / np.outer(errors, errors)
+    return bool(np.linalg.eigvalsh(correlations).min(initial=0.0) >= -1e-6)
 
 
 def _check_verdict(message: Any) -> None:
@@ -234,14 +242,14 @@ def _check_verdict(message: Any) -> None:
     _among([message.leader], [score.name for score in message.forecasts], "leader")
     for candidate in message.candidates:
         _check_candidate(candidate)
+    skills = [f"{name}_skill" for name in BASELINES]
+    high_skills = [f"{name}_skill_high" for name in BASELINES]
+    score_fields = ("gains", *skills, *high_skills, "coverage", "independent")
     for score in message.forecasts:
-        skills = [f"{name}_skill{end}" for name in BASELINES for end in ("", "_high")]
-        fields = ("gains", *skills, "coverage", "independent")
-        _check_size(score, len(message.horizons), *fields, of="its horizons", empty=True)
+        _check_size(score, len(message.horizons), *score_fields, of="its horizons", empty=True)
         _check_score(score)
     for signal in message.signals:
-        fields = ("coverage", *(f"{name}_skill" for name in BASELINES))
-        _check_size(signal, len(message.horizons), *fields, of="the horizons", empty=True)
+        _check_size(signal, len(message.horizons), "coverage", *skills, of="the horizons", empty=True)
         _within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
 
 

@@ -159,18 +159,18 @@ class OutputGate:
     def decide(self) -> Decision:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
         with self._news:
-            plant_now, _ = self._now()
+            safety_now, _ = self._now()
             clock = self._safety_clock
             guards = self._guards
             if clock.stopped:
                 if self.armed:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
                     self.trip(FaultKind.CLOCK, message)
-                return Decision((0.0,) * len(guards), False, self._index, plant_now)
+                return Decision((0.0,) * len(guards), False, self._index, safety_now)
             passed_values = [guard.passed for guard in guards]
             for k, guard in enumerate(guards):
                 beside = (*passed_values[:k], *passed_values[k + 1 :], *self.beside)
-                guard.output(plant_now, np.array(beside) if beside else None)
+                guard.output(safety_now, np.array(beside) if beside else None)
             fault = next(filter(None, (guard.fault for guard in guards)), None)
             for guard in guards:
                 if fault is not None:
@@ -178,7 +178,7 @@ class OutputGate:
             if not self.armed:
                 for guard in guards:
                     guard.passed = 0.0
-            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, plant_now)
+            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, safety_now)
 
     def wait(self, timeout: float) -> None:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
@@ -193,13 +193,13 @@ class OutputGate:
     def _take(self, take: Callable[..., None], *signals: Any, stamp: int | None = None) -> None:
         """Hand each guard its values with the time now, and with their age if they have a stamp (ns)."""
         with self._news:
-            plant_now, times = self._now()
+            safety_now, times = self._now()
             age = () if stamp is None else ((times.stamps - stamp) / 1e9,)
             rows = list(map(point_values, signals))
             if wrong := [len(row) for row in rows if len(row) != len(self._guards)]:
                 raise MessageError(f"it has {wrong[0]} values for {len(self._guards)} drives")
             for guard, values in zip(self._guards, zip(*rows, strict=True), strict=True):
-                take(guard, *values, plant_now, *age)
+                take(guard, *values, safety_now, *age)
             self._news.notify_all()
 
     def _now(self) -> tuple[float, ClockTimes]:

@@ -101,9 +101,9 @@ class Keeper(TwinmatchNode):
     NAME = KEEPER
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """No parameters: those given to its process are for the other nodes in it."""
-        return (), {name: value for name, value in given.items() if name.startswith(BUILT_IN)}
+        return (), {name: value for name, value in overrides.items() if name.startswith(BUILT_IN)}
 
     def open(self) -> None:
         """Subscribe and offer the service."""

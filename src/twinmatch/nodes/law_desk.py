@@ -142,6 +142,9 @@ class LawDesk(Desk):
         if answer.decision != "safe" and not request.although:
             raise RefusedLawError(f"not run, since it {answer.reason}")
         self._word = request.request or secrets.token_hex(4)
+        by_name = {}
+        for name in GAINS:
+            by_name[name] = [getattr(loop_gains, name) for loop_gains in gains]
         asked = ApplyLaw.Request(
             low=tried.low.ravel().tolist(),
             high=tried.high.ravel().tolist(),
@@ -152,7 +155,7 @@ class LawDesk(Desk):
             although=request.although,
             family=answer.family,
             request=self._word,
-            **{name: [getattr(loop_gains, name) for loop_gains in gains] for name in GAINS},
+            **by_name,
         )
         assert self._signature is not None  # noqa: S101 — or the request was refused
         asked.signature = self._signature.of(asked)

@@ -266,13 +266,13 @@ class TwinmatchNode(Node):
             self._diagnostics.publish(message)
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The node's parameters, which may depend on the given values, and the given values to check.
 
         Raises:
             ParameterError: the given values contradict each other.
         """
-        return cls.PARAMETERS, given
+        return cls.PARAMETERS, overrides
 
     def read_parameters(self) -> None:
         """Derive what the node needs from `self.values`; after an error here there is no node.

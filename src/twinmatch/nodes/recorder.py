@@ -142,9 +142,8 @@ class NodeSettings:
         listing, getting = clients
 
         def get(future: Any) -> None:
-            names = (
-                list(future.result().result.names)[: self.MAX_NAMES] if future.result() is not None else []
-            )
+            listed = future.result()
+            names = [] if listed is None else list(listed.result.names)[: self.MAX_NAMES]
             answer = getting.call_async(GetParameters.Request(names=names))
             answer.add_done_callback(lambda done: self._take(name, names, done))
 
@@ -152,11 +151,12 @@ class NodeSettings:
 
     def _take(self, name: str, names: list[str], future: Any) -> None:
         answer = future.result()
-        usable = answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer)
-        values = [parameter_value_to_python(value) for value in answer.values] if usable else []
-        values = [list(v) if hasattr(v, "tolist") or isinstance(v, tuple) else v for v in values]
-        parameters = dict(zip(names, values, strict=False))
-        self._tell(parameters_record(name), {n: json.dumps(v) for n, v in parameters.items()})
+        parameters: dict[str, Any] = {}
+        if answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer):
+            for parameter, value in zip(names, answer.values, strict=False):
+                parameters[parameter] = _json_value(parameter_value_to_python(value))
+        texts = {parameter: json.dumps(value) for parameter, value in parameters.items()}
+        self._tell(parameters_record(name), texts)
         path = parameters.get("candidates")
         if isinstance(path, str) and path:
             self._tell(CANDIDATES, {"text": _read(path)})
@@ -167,6 +167,11 @@ class NodeSettings:
         self._asked.pop(name, None)
         for client in self._clients.pop(name, []):
             self._node.destroy_client(client)
+
+
+def _json_value(value: Any) -> Any:
+    """A value of a parameter as JSON takes it: arrays are lists."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def _read(path: str) -> str:

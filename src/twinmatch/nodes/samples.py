@@ -115,9 +115,9 @@ class TwinNode(TwinmatchNode):
     FIXED = "a replay must give the recorded verdicts"
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the selected plant and structure."""
-        return understood(cls.NAME, given)
+        return understood(cls.NAME, overrides)
 
     def read_parameters(self) -> None:
         """Create the settings of the twin."""
@@ -182,7 +182,7 @@ class SampleNode(TwinNode):
         )
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take results published before this node started; called before the samples they are about."""
 
     def report(self) -> Report:

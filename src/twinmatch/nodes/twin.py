@@ -47,10 +47,10 @@ class TwinSimulatorNode(SampleNode):
         super().open()
         self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take the number of states that a simulator before this one published."""
         if not self._stream.begun:
-            self._published_before = said.states_heard
+            self._published_before = answer.states_heard
 
     def work(self, item: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""

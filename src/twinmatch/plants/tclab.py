@@ -171,11 +171,11 @@ class TCLab(Plant, name="tclab"):
         neighbour = self.neighbour
         reading = self.temperature + KELVIN
 
-        def gained(own: Any, other: Any, area: float, convection: Any) -> Any:
+        def gained(temperature: Any, surroundings: Any, area: float, convection: Any) -> Any:
             """Heat gained from a body at another temperature through a surface."""
-            heat = convection * area * (other - own)
+            heat = convection * area * (surroundings - temperature)
             if _RADIATION in parts:
-                heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (other**4 - own**4)
+                heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (surroundings**4 - temperature**4)
             return heat
 
         lost = -gained(heater, self.ambient, _AREA, self.losses)
@@ -195,14 +195,14 @@ class TCLab(Plant, name="tclab"):
             rates[neighbour] = (self.second_heating * self.second + room - crossing) / self.heat_capacity
             start[neighbour] = self.ambient
         rates[heater] = into / self.heat_capacity
-        seen = heater
+        measured = heater
         if _LAG in parts:
-            seen = self.sensor_state
-            rates[seen] = (heater - seen) / self.sensor_lag
-            start[seen] = reading
+            measured = self.sensor_state
+            rates[measured] = (heater - measured) / self.sensor_lag
+            start[measured] = reading
         return Equations(
             rates=rates,
-            output=seen - KELVIN,
+            output=measured - KELVIN,
             start=start,
             quantities={"heat_drawn": self.heating * power, "heat_lost": lost},
         )
@@ -242,19 +242,19 @@ class TCLabBoth(TCLab, name="tclab-both"):
 
     def equations(self, parts: frozenset[str]) -> Equations:
         """Those of heater 1 with its neighbour, which has a sensor here."""
-        one = super().equations(parts | {_NEIGHBOUR})
+        of_first = super().equations(parts | {_NEIGHBOUR})
         reading = self.second_temperature + KELVIN
-        rates = {**one.rates}
-        start = {**one.start, self.neighbour: reading}
-        seen = self.neighbour
+        rates = {**of_first.rates}
+        start = {**of_first.start, self.neighbour: reading}
+        measured = self.neighbour
         if _DEAD in parts:
             arrives = self.second_acting.after(self.second, self.dead_time)
             rates[self.neighbour] = rates[self.neighbour].subs(self.second, arrives.value)
             rates |= arrives.rates
             start |= arrives.start
         if _LAG in parts:
-            seen = self.second_sensor
-            rates[seen] = (self.neighbour - seen) / self.sensor_lag
-            start[seen] = reading
-        output = {self.temperature: one.output, self.second_temperature: seen - KELVIN}
-        return Equations(rates=rates, output=output, start=start, quantities=one.quantities)
+            measured = self.second_sensor
+            rates[measured] = (self.neighbour - measured) / self.sensor_lag
+            start[measured] = reading
+        output = {self.temperature: of_first.output, self.second_temperature: measured - KELVIN}
+        return Equations(rates=rates, output=output, start=start, quantities=of_first.quantities)

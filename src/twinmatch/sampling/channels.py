@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, reduce
 from typing import Any, Final, NamedTuple, cast
 
@@ -27,10 +28,19 @@ _LABEL: Final = r"[A-Za-z_/][^\[\]]*"
 _STEP: Final = re.compile(rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]")
 _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
-_DEEP: Final = 4
-"""Depth of nested messages to which fields are listed."""
-_MAX_LISTED: Final = 30
-"""Most fields that an error lists."""
+
+
+@dataclass(frozen=True)
+class FieldListing:
+    """Which fields of a message a list shows; errors and `--list` show one."""
+
+    depth: int = 4
+    """Of nested messages."""
+    in_errors: int = 30
+    """Most fields in an error."""
+
+
+_LISTING: Final = FieldListing()
 
 
 class SamplingError(TwinmatchError):
@@ -148,12 +158,12 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
         raise SamplingError(f"{kind}: {walked} is text; choose a number: {_field_list(kind, fields_of)}")
     if field.kind not in NUMBERS:
         paths = [f"{walked}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(paths[:_MAX_LISTED]) if paths else _field_list(kind, fields_of)
+        instead = ", ".join(paths[: _LISTING.in_errors]) if paths else _field_list(kind, fields_of)
         raise SamplingError(f"{kind}: {walked} is a message; choose a number in it: {instead}")
     return path
 
 
-def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[str]:
+def fields_below(kind: str, fields_of: FieldsOf, deep: int = _LISTING.depth) -> Iterator[str]:
     """Paths of the numbers in messages of a type, without those of headers and times."""
     for name, field in fields_of(kind).items():
         mark = "[0]" if field.array else ""
@@ -168,9 +178,13 @@ def by_name(message: Any, path: str) -> list[str]:
     """A path of `fields_below` as often as a message names elements of its lists; as it is without names."""
     head, mark, tail = path.partition("[0]")
     *above, last = head.split(".")
+    if not mark:
+        return [path]
     holder = reduce(getattr, above, message)
-    names, elements = (_names_in(holder), getattr(holder, last)) if mark else ((), ())
-    if len(elements) not in (0, len(names)) or not names or not all(re.fullmatch(_LABEL, n) for n in names):
+    names = _names_in(holder)
+    elements = getattr(holder, last)
+    has_labels = bool(names) and all(re.fullmatch(_LABEL, name) for name in names)
+    if not has_labels or len(elements) not in (0, len(names)):
         return [path]
     paths = []
     for name, element in zip(names, elements, strict=False):
@@ -273,8 +287,9 @@ def _only(kind: str, fields_of: FieldsOf) -> str:
 
 def _field_list(kind: str, fields_of: FieldsOf) -> str:
     paths = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
-    count_of_further = f" and {len(paths) - _MAX_LISTED} more" if len(paths) > _MAX_LISTED else ""
-    return ", ".join(paths[:_MAX_LISTED]) + count_of_further if paths else "none"
+    most = _LISTING.in_errors
+    count_of_further = f" and {len(paths) - most} more" if len(paths) > most else ""
+    return ", ".join(paths[:most]) + count_of_further if paths else "none"
 
 
 _UNITS: Final = {

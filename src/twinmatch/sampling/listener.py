@@ -32,9 +32,9 @@ Raises a SamplingError if what is there cannot be meant.
 class Receive(Protocol):
     """Takes each message of a topic."""
 
-    def __call__(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+    def __call__(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
         """Take a message that can be `read`. `stamp`: when its values were measured, ns; 0: not known.
-        `held`: it was sent at some time before, and kept by a broker for late subscribers."""
+        `retained`: it was sent at some time before, and kept by a broker for late subscribers."""
 
 
 class Source(Protocol):
@@ -153,11 +153,11 @@ class SignalListener:
         except TwinmatchError as error:
             self.failed = SamplingError(str(error))
 
-    def receive(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+    def receive(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
         """Take a message.
 
         A reading stamped in the future would never become stale, so it counts as of now; one without a stamp
-        is new, unless it is one that was `held`: then it says nothing, except where values hold at any age.
+        is new, unless it was `retained`: then it says nothing, except where values hold at any age.
         """
         arrived = self._now()
         is_ahead = stamp > arrived + round(self.sampler.period * NANOSECONDS)
@@ -165,7 +165,7 @@ class SignalListener:
         self.ahead = f"the stamps of {topic} are {ahead}" if is_ahead else ""
         measured = min(stamp, arrived) if stamp else arrived
         for name, source in self._ready.items():
-            if held and not stamp and self.sampler.limits[name].max_age:
+            if retained and not stamp and self.sampler.limits[name].max_age:
                 continue
             fresh = self._fresh[name]
             numbers = self._numbers(name, source, topic, read)
@@ -175,7 +175,7 @@ class SignalListener:
                 if len(fresh) == len(source.channels):
                     value = source.value([number for number, _ in fresh.values()])
                     oldest = min(number_stamp for _, number_stamp in fresh.values())
-                    self.sampler.take(name, value, oldest, arrived, held=held)
+                    self.sampler.take(name, value, oldest, arrived, retained=retained)
                     fresh.clear()
 
     def samples(self) -> list[Sample]:

@@ -72,7 +72,7 @@ def signal_called(plant: type[Plant]) -> dict[str, str]:
     return meant | {signal: signal for signal in names}  # also where a drive is called output
 
 
-def by_signal(plant: type[Plant], given: Mapping[str, _Value]) -> dict[str, _Value]:
+def by_signal(plant: type[Plant], named_entries: Mapping[str, _Value]) -> dict[str, _Value]:
     """The entries of a map by signal, from entries by any accepted name.
 
     Raises:
@@ -81,7 +81,7 @@ def by_signal(plant: type[Plant], given: Mapping[str, _Value]) -> dict[str, _Val
     meant = signal_called(plant)
     entries = dict[str, _Value]()
     names_used = dict[str, str]()
-    for name, entry in given.items():
+    for name, entry in named_entries.items():
         if name not in meant:
             raise RecordingError(
                 f"--map: plant {plant.name} has no signal {name!r}; it has {_listed_signals(plant)}"

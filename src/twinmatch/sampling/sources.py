@@ -166,12 +166,12 @@ class SignalMap:
     period: float | None = None
     """Sampling period, s."""
 
-    def joined(self, other: SignalMap) -> SignalMap:
+    def joined(self, newer: SignalMap) -> SignalMap:
         """This map, updated with the entries of another."""
         return SignalMap(
-            {**self.sources, **other.sources},
-            other.plant or self.plant,
-            self.period if other.period is None else other.period,
+            {**self.sources, **newer.sources},
+            newer.plant or self.plant,
+            self.period if newer.period is None else newer.period,
         )
 
 

@@ -385,7 +385,7 @@ def decode_sample(data: bytes) -> Sample:
 
 
 def _lengths(order: str, data: bytes, position: int) -> tuple[int, ...]:
-    """Lengths of the four sequences of float64; `at` is the position of the first."""
+    """Lengths of the four sequences of float64; `position` is that of the first."""
     lengths = []
     for _ in range(4):
         lengths.append(_LENGTH[order].unpack_from(data, position)[0])

@@ -174,17 +174,21 @@ def counts_listed(folder: Path) -> Mapping[str, int]:
     return {}
 
 
-def miscounted(listed: Mapping[str, int], found: Mapping[str, int]) -> list[str]:
+def miscounted(listed: Mapping[str, int], counted: Mapping[str, int]) -> list[str]:
     """A sentence on the topics of which `metadata.yaml` lists another number of messages than were found."""
-    both = {name: (listed.get(name, 0), found.get(name, 0)) for name in sorted({*listed, *found}) if listed}
-    wrong = [f"{a} of {name} ({b} found)" for name, (a, b) in both.items() if a != b]
-    listed_topics = ", ".join(wrong[:_MOST_TOLD])
+    if not listed:
+        return []
+    wrong = []
+    for name in sorted({*listed, *counted}):
+        stated = listed.get(name, 0)
+        present = counted.get(name, 0)
+        if stated != present:
+            wrong.append(f"{stated} of {name} ({present} found)")
+    if not wrong:
+        return []
+    text = ", ".join(wrong[:_MOST_TOLD])
     further = f" and others of {len(wrong) - _MOST_TOLD} more topics" if len(wrong) > _MOST_TOLD else ""
-    return (
-        [f"{METADATA} lists other numbers of messages than the files hold: {listed_topics}{further}"]
-        if wrong
-        else []
-    )
+    return [f"{METADATA} lists other numbers of messages than the files hold: {text}{further}"]
 
 
 def mcap_files(folder: Path) -> list[Path]:

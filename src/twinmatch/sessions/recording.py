@@ -235,12 +235,12 @@ def _write(
             writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
 
 
-def _move(made: Path, target: Path, aside: Path) -> None:
+def _move(written: Path, target: Path, aside: Path) -> None:
     """Move a finished session to its destination; an existing one goes aside, and back if that fails."""
     if target.exists():
         target.rename(aside)
     try:
-        made.rename(target)
+        written.rename(target)
     except OSError:
         if aside.exists():
             aside.rename(target)

@@ -209,11 +209,14 @@ class Scan:
             begin = len(body) - entry.compressed_size
             return _Chunk(entry.uncompressed_size, crc, entry.compression, begin, body[begin:])
         (length,) = struct.unpack_from("<I", body, _CHUNK.size)
-        begin = _CHUNK.size + 4 + length + 8
-        if begin > len(body) or begin + int.from_bytes(body[begin - 8 : begin], "little") != record.length:
+        compression_begin = _CHUNK.size + 4
+        size_begin = compression_begin + length
+        begin = size_begin + 8
+        stated_size = int.from_bytes(body[size_begin:begin], "little")
+        if begin > len(body) or begin + stated_size != record.length:
             raise _FaultError("a chunk cannot be read")
         data = body[begin:]
-        compression = body[_CHUNK.size + 4 : begin - 8].decode("utf-8", "replace")
+        compression = body[compression_begin:size_begin].decode("utf-8", "replace")
         if compression and compression not in _PACKED.values():
             compression = _PACKED.get(data[:4], compression)
         return _Chunk(size, crc, compression, begin, data)
