@@ -45,7 +45,7 @@ class VirtualCamera:
 
     _RATE: Final = 9.0
     """New images per second of plant time, as of a Lepton."""
-    _PATIENCE: Final = 30.0
+    PATIENCE: Final = 30.0
     """Longest start of the camera program, s."""
     _REPEAT: Final = 0.05
     """Interval at which an image that nobody has taken is sent again, wall s."""
@@ -140,14 +140,14 @@ class VirtualCamera:
             os.set_blocking(_pipe(pipe).fileno(), False)
 
     def _wait_for_port(self) -> int:
-        deadline = time.monotonic() + self._PATIENCE
+        deadline = time.monotonic() + self.PATIENCE
         while time.monotonic() < deadline:
             self._listen()
             for line in self._said:
                 if port := re.search(r"serving .*:(\d+)$", line):
                     return int(port[1])
             time.sleep(0.01)
-        raise VirtualCameraError(f"virtual camera: its program was not ready after {self._PATIENCE:g} s")
+        raise VirtualCameraError(f"virtual camera: its program was not ready after {self.PATIENCE:g} s")
 
     def _show(self) -> None:
         self._shown_at = time.monotonic()

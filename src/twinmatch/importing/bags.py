@@ -87,7 +87,7 @@ class Bag:
     """Most topics of a bag: graphs of robots have some hundreds."""
     _MANY: Final = 40
     """Topics that an error lists."""
-    _EVERY: Final = 500
+    PROGRESS_EVERY: Final = 500
     """Messages between two reports of progress."""
 
     def __init__(self, path: Path, scans: Callable[[], Sequence[Scan]], notes: Sequence[str]) -> None:
@@ -183,7 +183,7 @@ class Bag:
             by_topic.setdefault(channel_readings.channel.topic, []).append(channel_readings)
         total = sum(self._counts[name] for name in by_topic)
         for place, raw in enumerate(self._messages(by_topic, most), 1):
-            if progress is not None and place % self._EVERY == 0:
+            if progress is not None and place % self.PROGRESS_EVERY == 0:
                 progress(place, total)
             try:
                 message = self._decoded(raw)

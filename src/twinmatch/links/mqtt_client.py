@@ -28,7 +28,7 @@ class BrokerTimes:
     """Longest wait for the end of a client's thread: it may be looking a host up, or connecting."""
 
 
-_TIMES: Final = BrokerTimes()
+TIMES: Final = BrokerTimes()
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _KEYS: Final = ("password_file", "ca")
 
@@ -40,7 +40,7 @@ def leave(client: Client) -> bool:
         client.loop_stop()  # which waits without a limit
 
     client.disconnect()
-    stopping = Background("leaving the broker", stop, _TIMES.leave)
+    stopping = Background("leaving the broker", stop, TIMES.leave)
     stopping.start()
     return stopping.close()
 
@@ -157,12 +157,12 @@ class Broker:
         client.on_connect = connect
         client.on_message = lambda _c, _u, message: on_message(message)
         try:
-            client.connect(self.host, self.port, _TIMES.keepalive)
+            client.connect(self.host, self.port, TIMES.keepalive)
         except (OSError, ValueError) as error:
             raise BrokerError(f"no MQTT broker at {self.text} ({error}); check that it runs") from None
         client.loop_start()
-        if not answered.wait(_TIMES.first_connection) or first:
+        if not answered.wait(TIMES.first_connection) or first:
             leave(client)
-            why = first or f"it does not answer within {_TIMES.first_connection:g} s"
+            why = first or f"it does not answer within {TIMES.first_connection:g} s"
             raise BrokerError(f"the MQTT broker at {self.text} does not let us in: {why}")
         return client
