@@ -89,7 +89,7 @@ class VirtualPlantTime(ABC):
     _REPEAT: Final = 0.2
     """Longest time without an update of the clock, which may get lost, wall s."""
     _BREATH: Final = 0.02
-    """The same where only the board's answer is awaited, which usually comes without the time."""
+    """Longest time without an update while the board's answer is awaited: it usually comes first, wall s."""
     _SLICE: Final = 20
     """Longest slice, ms of plant time."""
 

@@ -42,7 +42,7 @@ class VirtualPlant:
     _STILL_AIR: Final = 0.1
     """Fraction of the convection that remains without the fan."""
     _AMBIENT_STEP: Final = 10.0
-    """K"""
+    """Change of the room's temperature under `ambient-step`, K."""
     _OPEN: Final = 1e-9
     """Current limit of an open circuit, A: no current flows, not even from the Seebeck voltage."""
 

@@ -57,9 +57,9 @@ class PlantSignal(NamedTuple):
 def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, signal_map.sources))
-    used_titles = {
-        table.find(place) for source in sources.values() for place in with_titles(table, source).places
-    }
+    used_titles: set[str] = set()
+    for source in sources.values():
+        used_titles.update(map(table.find, with_titles(table, source).places))
     titles_by_name = _titles_by_name(table)
     for signal, names in _own_names_first(accepted_names(plant)):
         if signal in sources:

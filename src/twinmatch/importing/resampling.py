@@ -134,7 +134,7 @@ def complete_rows(*columns: FloatArray) -> NDArray[np.intp]:
 
 
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
-    """Those of the rows that repeat the row before in every column: loggers write some rows twice."""
+    """The rows that repeat the row before in every column: loggers write some rows twice."""
     is_repeated = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
     return np.asarray(rows[1:][is_repeated])
 

@@ -46,7 +46,7 @@ READERS = "twin_simulator discriminator keeper live_watch"
 """Nodes that must receive every sample; the recorder too, if there is one."""
 
 SPAN = 600.0
-"""s"""
+"""Time in which restarts, and errors that are shown, are counted, wall s."""
 
 
 @dataclass

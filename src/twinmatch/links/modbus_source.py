@@ -117,42 +117,48 @@ class ModbusDevice:
     def read(self, span: Span) -> Values:
         """The values of a span that one request may read; raise a ModbusError if they do not come."""
         table, first, end = span
-        client = self._client
         where = f"{self._text}: {registers.span_text(span)}"
+        answer = self._request(table, first, end - first, where)
+        code = answer.function_code & ~self._ERROR
+        if code != _FUNCTIONS[table]:
+            self._leave()
+            raise ModbusError(
+                f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
+                f"({self._quoted}); is this a Modbus device?"
+            )
+        if answer.isError():
+            text = f"{_ANSWERS.get(answer.exception_code, 'error')} ({answer.exception_code})"
+            raise RefusedReadError(f"{where}: the device answers: {text}")
+        try:
+            return registers.values_in(answer.payload, span)
+        except SamplingError as error:
+            self._leave()
+            raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
+
+    def _request(self, table: str, first: int, count: int, where: str) -> Any:
+        """The answer to a request, which may be a refusal; raise a ModbusError if none comes."""
+        client = self._client
         self._received = b""
-        bits = {"coil": client.read_coils, "discrete": client.read_discrete_inputs}
-        reads = {**bits, "holding": client.read_holding_registers, "input": client.read_input_registers}
+        reads = {
+            "coil": client.read_coils,
+            "discrete": client.read_discrete_inputs,
+            "holding": client.read_holding_registers,
+            "input": client.read_input_registers,
+        }
         try:
             client.socket = client.socket or self._open()  # its own way to connect does not say what failed
-            got = reads[table](first, count=end - first, device_id=self._unit)
+            return reads[table](first, count=count, device_id=self._unit)
         except (OSError, ValueError) as error:
             raise ModbusError(f"{where}: no connection ({error}); check the address") from None
         except ModbusException as error:
             self._leave()
             to_check = "the unit" if self._tcp else "unit, baud, parity and stop"
-            came = (
-                f" (the answer is damaged, or belongs to another request: {self._quoted})"
-                if self._received
-                else ""
-            )
+            received = ""
+            if self._received:
+                received = f" (the answer is damaged, or belongs to another request: {self._quoted})"
             raise ModbusError(
-                f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {to_check}"
+                f"{where}: no valid answer within {_PATIENCE:g} s{received}; check {to_check}"
             ) from error
-        if got.function_code & ~self._ERROR != _FUNCTIONS[table]:
-            self._leave()
-            code = got.function_code & ~self._ERROR
-            raise ModbusError(
-                f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
-                f"({self._quoted}); is this a Modbus device?"
-            )
-        if got.isError():
-            answer = f"{_ANSWERS.get(got.exception_code, 'error')} ({got.exception_code})"
-            raise RefusedReadError(f"{where}: the device answers: {answer}")
-        try:
-            return registers.values_in(got.payload, span)
-        except SamplingError as error:
-            self._leave()
-            raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
 
     @property
     def _quoted(self) -> str:
@@ -173,7 +179,7 @@ class ModbusDevice:
             self._client.close()
 
     def surely(self, span: Span) -> Values:
-        """The same, with two more attempts: a serial line that was just opened may have restarted it."""
+        """Read a span in up to three attempts: opening a serial line may have restarted the device."""
         for _ in range(2):
             with suppress(ModbusError):
                 return self.read(span)
@@ -235,7 +241,9 @@ class ModbusSource:
         due = time.monotonic()
         while not self._thread.ending.wait(max(due - time.monotonic(), 0.0)):
             try:
-                values = {place: v for span in self._requests for place, v in self._device.read(span).items()}
+                values: dict[tuple[str, int], int] = {}
+                for span in self._requests:
+                    values |= self._device.read(span)
                 self._cycles.append((time.time_ns(), values))
                 self._trouble = ""
             except ModbusError as error:

@@ -32,12 +32,16 @@ def problem(environment: Mapping[str, str] = os.environ, wheel_prefix: str = sys
 
     Args:
         environment: the variables of the process.
-        own: prefix of a ROS 2 that was installed from wheels.
+        wheel_prefix: prefix of a ROS 2 that was installed from wheels.
     """
     named = environment.get(VARIABLE, "")
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / _INDEX for prefix in (*prefixes, wheel_prefix) if prefix]
-    installed = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()} - {_LOADER}
+    installed: set[str] = set()
+    for folder in folders:
+        if folder.is_dir():
+            installed.update(file.name for file in folder.iterdir())
+    installed.discard(_LOADER)
     if not named or not installed or named in installed:
         return ""
     installed_names = ", ".join(sorted(installed))

@@ -271,17 +271,17 @@ def question_from(request: services.WhatIf.Request) -> Question:
     )
 
 
+def _moment(moment: float | None) -> float:
+    return math.nan if moment is None else moment
+
+
 def answer_message(answer: WhatIfResult, stamp: int) -> services.WhatIf.Response:
     """An answer as a response; `stamp` (ns) is that of the newest sample it was made from."""
-    moments = {
-        f"{name}{edge}": math.nan if moment is None else moment
-        for name, crossing in (("reach", answer.reached), ("hold", answer.settled))
-        for edge, moment in (
-            ("", crossing.expected),
-            ("_earliest", crossing.earliest),
-            ("_latest", crossing.latest),
-        )
-    }
+    moments = {}
+    for name, crossing in (("reach", answer.reached), ("hold", answer.settled)):
+        moments[name] = _moment(crossing.expected)
+        moments[f"{name}_earliest"] = _moment(crossing.earliest)
+        moments[f"{name}_latest"] = _moment(crossing.latest)
     return services.WhatIf.Response(
         success=True,
         forecast=forecast_message(answer.forecast, stamp),

@@ -194,12 +194,12 @@ def sockets_elsewhere(process: int | str = "self") -> list[str]:
     (which receives only from the interfaces it joined on). Empty where there is no /proc.
     """
     inodes = set(_socket_inodes(process))
-    return [
-        f"{kind} {address}:{port}"
-        for kind in ("udp", "udp6", "tcp", "tcp6")
-        for address, port, inode in _bound(process, kind)
-        if inode in inodes and not (address.is_loopback or address.is_multicast)
-    ]
+    elsewhere = []
+    for kind in ("udp", "udp6", "tcp", "tcp6"):
+        for address, port, inode in _bound(process, kind):
+            if inode in inodes and not (address.is_loopback or address.is_multicast):
+                elsewhere.append(f"{kind} {address}:{port}")
+    return elsewhere
 
 
 def _check_domain(value: str) -> None:

@@ -241,7 +241,7 @@ class TCLabBoth(TCLab, name="tclab-both"):
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        """Those of heater 1 with its neighbour, which has a sensor here."""
+        """The equations of heater 1 with its neighbour, which has a sensor here."""
         of_first = super().equations(parts | {_NEIGHBOUR})
         reading = self.second_temperature + KELVIN
         rates = {**of_first.rates}

@@ -60,7 +60,7 @@ class LawReport:
     """The word of the request that it belongs to."""
 
     def of(self, gains: Sequence[PidGains]) -> LawReport:
-        """The same about the law of these PIDs."""
+        """This report, about the law of these PIDs."""
         return replace(
             self,
             proportional=tuple(pid.proportional for pid in gains),

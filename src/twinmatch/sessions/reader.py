@@ -275,16 +275,18 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         end = max(end, message.log_time)
         if message.topic.type == SAMPLE.type:
             raw.setdefault(name, []).append(message)
-    topics = list(
-        {recorded_topic.name: recorded_topic for scan in scans for recorded_topic in scan.topics}.values()
-    )
+    topics_by_name: dict[str, Topic] = {}
+    records: dict[str, Mapping[str, str]] = {}
+    for scan in scans:
+        topics_by_name |= {recorded.name: recorded for recorded in scan.topics}
+        records |= scan.records
+    topics = list(topics_by_name.values())
     name = named(path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem))
     faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
     samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
     check_samples(samples, place)
-    records = {name: values for scan in scans for name, values in scan.records.items()}
     missing = [*notes, *(_extent(fault, samples) for fault in faults), *repairs(records)]
     if path.is_dir() and not missing:
         missing = miscounted(counts_listed(path), counts)

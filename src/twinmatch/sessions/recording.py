@@ -397,7 +397,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
 
 
 def _damages(faults: Sequence[str]) -> list[str]:
-    """Those of the faults that may have cost messages, or changed them."""
+    """The faults that may have cost messages, or changed them."""
     damages = []
     for fault in faults:
         if not any(words in fault for words in _NOTHING_MORE):

@@ -58,7 +58,7 @@ def mended(messages: Iterable[Message], on_drop: Callable[[], None]) -> Iterator
 def _released(
     before: Iterable[Message], waiting: Sequence[Message], on_drop: Callable[[], None]
 ) -> Iterator[Message]:
-    """Those of the waiting messages that can be right."""
+    """The waiting messages that can be right."""
     if not waiting:
         return
     context = list(before)
