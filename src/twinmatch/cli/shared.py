@@ -222,10 +222,10 @@ class Progress:
     def __init__(self, doing: str = "judging") -> None:
         """Set the label of the bar."""
         self._doing = doing
-        self._said_at = time.monotonic()
+        self._printed_at = time.monotonic()
         self._bar: progress.Progress | None = None
         self._shown = False
-        self._at = 0, 0
+        self._progress = 0, 0
 
     def __enter__(self) -> Progress:
         from twinmatch.compiled import told  # noqa: PLC0415 — slow
@@ -242,7 +242,7 @@ class Progress:
             self._bar.stop()
 
     def _compile(self, compiled: str) -> None:
-        self.show(f"{self._doing}, compiling {compiled} once on this machine", *self._at)
+        self.show(f"{self._doing}, compiling {compiled} once on this machine", *self._progress)
 
     def advance(self, parts_done: int, total: int) -> None:
         """Show that `parts_done` of `total` are done."""
@@ -250,7 +250,7 @@ class Progress:
 
     def show(self, doing: str, parts_done: int, total: int) -> None:
         """Show what is being done, and that `parts_done` of its `total` parts are; 0 parts: nobody knows."""
-        self._at = parts_done, total
+        self._progress = parts_done, total
         if self._bar is None and self._shown:
             from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
 
@@ -261,8 +261,8 @@ class Progress:
             self._bar.start()
         if self._bar is not None:
             self._bar.update(self._task, description=doing, completed=parts_done, total=total or None)
-        elif not self._shown and time.monotonic() - self._said_at >= self.SILENCE:
-            self._said_at = time.monotonic()
+        elif not self._shown and time.monotonic() - self._printed_at >= self.SILENCE:
+            self._printed_at = time.monotonic()
             share = f", {parts_done / total:.0%} done" if total else ""
             print(f"twinmatch: {doing}{share}", file=sys.stderr, flush=True)
 

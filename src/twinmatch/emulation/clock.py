@@ -217,19 +217,19 @@ class ClockClient(Background):
         """Why there is no connection; empty while there is one."""
         self._tell = tell
         self._connection: socket.socket | None = None
-        self._said: dict[str, int] = {}
+        self._newest_stamps: dict[str, int] = {}
         self._lock = threading.Lock()
 
     def say(self, kind: str, stamp: int) -> None:
         """Tell the rig one of the words above, and a plant time, ns; repeated after a reconnection."""
         with self._lock:
-            self._said[kind] = stamp
+            self._newest_stamps[kind] = stamp
             self._send(kind)
 
     def _send(self, kind: str) -> None:
         if self._connection is not None:
             with contextlib.suppress(OSError):
-                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._said[kind]))
+                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._newest_stamps[kind]))
 
     def _keep_following(self) -> None:
         pause = self._FIRST_PAUSE
@@ -242,7 +242,7 @@ class ClockClient(Background):
                     pause = self._FIRST_PAUSE
                     with self._lock:
                         self._connection = connection
-                        for kind in self._said:
+                        for kind in self._newest_stamps:
                             self._send(kind)
                     self._follow(connection)
             except (OSError, ClockError) as error:

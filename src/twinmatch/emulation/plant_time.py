@@ -124,11 +124,11 @@ class VirtualPlantTime(ABC):
         else:
             self._every = self._CLOCK_EVERY
         self._clock_sent = 0.0
-        self._told = 0
+        self._stamp_sent = 0
         self._attended = 0.0
         with ExitStack() as stack:
             self.folder = stack.enter_context(_private_folder())
-            self._own = self.make(stack)
+            self._own_addresses = self.make(stack)
             self._clock = ClockServer()
             stack.callback(self._clock.close)
             self._control = ControlServer(self.folder / "control", self._obey)
@@ -166,7 +166,7 @@ class VirtualPlantTime(ABC):
     def addresses(self) -> dict[str, str]:
         """The addresses of all parts, by name."""
         clock = "{}:{}".format(*self._clock.address)
-        return {**self._own, "clock": clock, "control": str(self._control.path)}
+        return {**self._own_addresses, "clock": clock, "control": str(self._control.path)}
 
     @property
     def elapsed(self) -> float:
@@ -255,14 +255,14 @@ class VirtualPlantTime(ABC):
         """Tell the readers the time once they have every image."""
         wall_now = time.monotonic()
         pause = self._BREATH if self._clock.breathing else 0.0
-        if self._told == self.stamp:
+        if self._stamp_sent == self.stamp:
             pause = self._REPEAT
         if self.settled(self._clock) and wall_now - self._clock_sent >= pause:
             self._send_clock(wall_now)
 
     def _send_clock(self, wall_now: float) -> None:
         self._clock.send(self.stamp)
-        self._told = self.stamp
+        self._stamp_sent = self.stamp
         self._clock_sent = wall_now
 
     def _require(self, fault: RigFault) -> RigFault:

@@ -63,7 +63,7 @@ class VirtualCamera:
         """Plant time of the newest image, ns."""
         self._serving = Serving.CAMERA
         self._process: subprocess.Popen[bytes] | None = None
-        self._said: deque[str] = deque(maxlen=20)
+        self._printed_lines: deque[str] = deque(maxlen=20)
         self._garbage: _Garbage | None = None
         self._environment = _environment()
         self.address = ("127.0.0.1", 0)
@@ -143,7 +143,7 @@ class VirtualCamera:
         deadline = time.monotonic() + self.PATIENCE
         while time.monotonic() < deadline:
             self._listen()
-            for line in self._said:
+            for line in self._printed_lines:
                 if port := re.search(r"serving .*:(\d+)$", line):
                     return int(port[1])
             time.sleep(0.01)
@@ -162,9 +162,9 @@ class VirtualCamera:
             return
         output = _pipe(process.stderr).read()
         if output:
-            self._said.extend(output.decode(errors="replace").splitlines())
+            self._printed_lines.extend(output.decode(errors="replace").splitlines())
         elif output == b"":
-            last = " / ".join(list(self._said)[-3:])
+            last = " / ".join(list(self._printed_lines)[-3:])
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 
     def _end_program(self) -> None:

@@ -59,7 +59,7 @@ class VirtualPlant:
         self.fan_failed = False
         self.warm_room = False
         self._parameters = parameters
-        self._made: dict[tuple[bool, ...], Parameters] = {}
+        self._parameters_by_case: dict[tuple[bool, ...], Parameters] = {}
         # The first tick loads the plant's compiled code, which must not delay board time later.
         advance(self._under(enabled=False), self.states, 0.0, 1e-3)
         quantities(parameters, self.states, 0.0)
@@ -113,15 +113,17 @@ class VirtualPlant:
     def _under(self, *, enabled: bool) -> Parameters:
         """Parameters under the active faults, with a closed or an open circuit; cached."""
         case = (self.fan_failed, self.warm_room, enabled)
-        if case not in self._made:
+        if case not in self._parameters_by_case:
             parameters = self._parameters
             if self.fan_failed and "sink_convection" in parameters:
                 still_air = self._STILL_AIR * parameters["sink_convection"]
                 parameters = parameters.replace(sink_convection=still_air)
             if self.warm_room:
                 parameters = parameters.replace(ambient=parameters["ambient"] + self._AMBIENT_STEP)
-            self._made[case] = parameters if enabled else parameters.replace(current_limit=self._OPEN)
-        return self._made[case]
+            if not enabled:
+                parameters = parameters.replace(current_limit=self._OPEN)
+            self._parameters_by_case[case] = parameters
+        return self._parameters_by_case[case]
 
 
 class SerialNoise:

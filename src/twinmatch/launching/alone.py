@@ -126,7 +126,7 @@ class Alone:
         if plan.values["paced_by"] == TIMER:
             self._every[self._listener.tick] = plan.settings.period
         self._tally = Tally()
-        self._taken = self._judged = self._missed = 0
+        self._sampled = self._judged = self._missed = 0
         self._troubles: dict[str, str] = {}
         self._ended = False
 
@@ -182,7 +182,7 @@ class Alone:
         listener = self._listener
         missed = self._listener.sampler.grid.missed
         for name in listener.channels:
-            text = listener.trouble(name) if self._taken or listener.late else ""
+            text = listener.trouble(name) if self._sampled or listener.late else ""
             self._shown.trouble(name, text)
             kind = kind_of(text)
             if kind != self._troubles.get(name, ""):
@@ -195,7 +195,7 @@ class Alone:
 
     def _take_samples(self) -> None:
         for sample in self._listener.samples():
-            self._taken += 1
+            self._sampled += 1
             if self._session is not None:
                 self._session.sample(sample)
             self._judging.push(sample)
@@ -224,11 +224,11 @@ class Alone:
     def _finish(self) -> None:
         """Wait for what is being judged, and summarise."""
         until = time.monotonic() + Judging.LEAVE
-        while self._judged < self._taken and time.monotonic() < until and self._judging.failure is None:
+        while self._judged < self._sampled and time.monotonic() < until and self._judging.failure is None:
             self._take_judged()
             time.sleep(self._listener.interval)
         self._view.close()
-        self._view.say(f"ended: {self._taken} samples, {self._tally.verdicts} verdicts")
+        self._view.say(f"ended: {self._sampled} samples, {self._tally.verdicts} verdicts")
         if len(self._spool):
             spool = self._spool
             period = self._settings.period

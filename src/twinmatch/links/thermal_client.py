@@ -243,9 +243,6 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
     )
 
 
-_RECEIVE_BUFFER = 32_768
-
-
 class ThermalClient(Background):
     """Receives the stream of one camera server in its own thread.
 
@@ -344,7 +341,7 @@ class ThermalClient(Background):
             raise ThermalConnectError(msg) from error
         with connection:
             self._socket = connection
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _Reader.BUFFER)
             self._status = replace(
                 self._status, state=LinkState.STREAMING, connections=self._status.connections + 1
             )
@@ -391,6 +388,9 @@ class ThermalClient(Background):
 class _Reader:
     """Exact reads from a socket, with one deadline for a whole frame."""
 
+    BUFFER: Final = 32_768
+    """Most bytes that are received at once."""
+
     def __init__(self, connection: socket.socket, name: str, timeout: float) -> None:
         self._connection = connection
         self._name = name
@@ -416,7 +416,7 @@ class _Reader:
             if remaining <= 0:
                 raise TimeoutError
             self._connection.settimeout(remaining)
-            piece = self._connection.recv(_RECEIVE_BUFFER)
+            piece = self._connection.recv(self.BUFFER)
         except TimeoutError as error:
             msg = f"{self._name}: no complete frame within {self._timeout} s; check camera and network"
             raise ThermalStallError(msg) from error

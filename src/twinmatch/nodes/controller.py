@@ -366,7 +366,7 @@ class ControllerNode(TwinmatchNode):
     def close(self) -> bool:
         """Put the drives at rest."""
         if self._commands is not None:
-            self._command(self._rest)
+            self._command(self._resting_commands)
             self._commands.wait_for_all_acked(Duration(seconds=0.2))
             self._commands = None
         return True
@@ -540,7 +540,7 @@ class ControllerNode(TwinmatchNode):
             self.health.say("ticking")
             self.health.withdraw("idle")
         elif not self._loop.running:
-            self._command(self._rest)
+            self._command(self._resting_commands)
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
@@ -581,7 +581,7 @@ class ControllerNode(TwinmatchNode):
                 self.step.sent(plant_now)
 
     @property
-    def _rest(self) -> list[float]:
+    def _resting_commands(self) -> list[float]:
         """Commands that put the drives at rest."""
         return [drive.rest for drive in self._plant.drives.values()]
 

@@ -70,7 +70,7 @@ class ForecastPublisher:
         """What questions are answered from."""
         self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
-        self._made = 0
+        self._forecasts_made = 0
         self.heard = 0
         """Number of forecasts published before this node started, which are not published again."""
         self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
@@ -82,8 +82,8 @@ class ForecastPublisher:
         self.take(snapshot)
         if snapshot.leading is None:
             return
-        self._made += 1
-        if self._made <= self.heard:
+        self._forecasts_made += 1
+        if self._forecasts_made <= self.heard:
             return
         outlook = snapshot.outlook()
         leader = (outlook.candidate, outlook.parameters)
@@ -164,7 +164,7 @@ class DiscriminatorNode(SampleNode):
         self._fault_reason = ""
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
-        self._made = 0  # verdicts
+        self._verdicts_made = 0
         self._reported_defects = 0
         self._published_before = 0  # verdicts published before this node started
         self._pending: MatchRequest | None = None
@@ -177,9 +177,16 @@ class DiscriminatorNode(SampleNode):
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         stamps = self._discriminator.stamps
-        asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0), Turn()
-        self._experimenter = Experimenter(*asked)
-        self._laws = LawDesk(*asked)
+
+        def newest() -> Snapshot:
+            return self._forecasts.newest
+
+        def stamp_of(index: int) -> int:
+            return stamps.get(index, 0)
+
+        turn = Turn()
+        self._experimenter = Experimenter(self, newest, stamp_of, turn)
+        self._laws = LawDesk(self, newest, stamp_of, turn)
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
@@ -296,10 +303,10 @@ class DiscriminatorNode(SampleNode):
         self.health.set("level", verdict.level.value)
         self.health.set("level because", verdict.level_reason)
         self.health.set("nominal", verdict.nominal or "none")
-        self._made += 1
-        if self._made > self._published_before:
+        self._verdicts_made += 1
+        if self._verdicts_made > self._published_before:
             self.publish(self._scores, message_of(verdict, self._stamp_of(verdict)))
-        if self._made < self._published_before:
+        if self._verdicts_made < self._published_before:
             return
         if verdict.chosen is None:
             return

@@ -232,7 +232,7 @@ class Course:
         self._departs = departs
         self._publishers = publishers
         self._before: Any = None
-        self._at = 0.0
+        self._received_at = 0.0
         self._owners: frozenset[bytes] = frozenset()
         self._refused: list[Any] = []
         self._looked = -LOOK
@@ -245,14 +245,14 @@ class Course:
             MessageError: it does not follow.
         """
         alone = self._alone(now)
-        elapsed = math.inf if alone else now - self._at
+        elapsed = math.inf if alone else now - self._received_at
         why = "" if self._before is None else self._departs(self._before, message, elapsed)
         if why and not self._is_believed(message, now, alone):
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
         self._before = message
-        self._at = now
+        self._received_at = now
         self._refused.clear()
 
     def _alone(self, now: float) -> bool:

@@ -286,7 +286,7 @@ class DriverThread(Background, ABC, Generic[Link]):
         self._health = health
         self._pace = pace or DriverPace()
         self._clear_wanted = threading.Event()
-        self._known = False  # whether the hardware has answered before
+        self._has_answered = False
         self._driving = False  # whether the last command had passed the gate
         self._sent_at = 0.0
         self._attempts = 0
@@ -333,7 +333,7 @@ class DriverThread(Background, ABC, Generic[Link]):
         try:
             if not self.link.is_open:
                 self._connect()
-                self._known = True
+                self._has_answered = True
                 self._attempts = 0
                 self._health.count("connections")
                 self._health.withdraw("link")

@@ -104,11 +104,11 @@ class NodeSettings:
         """`tell` is called with the name and the values of each record, in the executor's thread."""
         self._node = node
         self._tell = tell
-        self._own = node.get_fully_qualified_name()
+        self._own_name = node.get_fully_qualified_name()
         self._namespace = node.get_namespace().rstrip("/") + "/"
         self._clients: dict[str, list[Any]] = {}
         self._asked: dict[str, float] = {}  # when, s; without those that have answered
-        self._known: set[str] = set()
+        self._known_nodes: set[str] = set()
         self._answered: set[str] = set()  # since the last call
 
     def ask(self) -> None:
@@ -117,13 +117,13 @@ class NodeSettings:
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
         }
-        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own and "/_" not in n}
+        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own_name and "/_" not in n}
         for name in self._answered | (self._clients.keys() - mine):
             self._forget(name)
         self._answered.clear()
-        self._known &= mine
+        self._known_nodes &= mine
         wall_now = time.monotonic()
-        for name in mine - self._known:
+        for name in mine - self._known_nodes:
             if name in self._asked and wall_now - self._asked[name] > self.PATIENCE:
                 self._forget(name)
             if name not in self._asked:
@@ -161,7 +161,7 @@ class NodeSettings:
         if isinstance(path, str) and path:
             self._tell(CANDIDATES, {"text": _read(path)})
         self._answered.add(name)
-        self._known.add(name)
+        self._known_nodes.add(name)
 
     def _forget(self, name: str) -> None:
         self._asked.pop(name, None)
@@ -224,10 +224,10 @@ class RecorderNode(TwinmatchNode):
         self._kinds: dict[str, str] = {}
         self._unknown: set[str] = set()
         self._arrivals: dict[str, Arrivals] = {}
-        self._taken = 0  # bytes handed to the worker
-        self._written = 0  # bytes
+        self._bytes_taken = 0  # by the worker's queue
+        self._bytes_written = 0
         self._dropped = 0  # messages
-        self._left = threading.Event()
+        self._finished = threading.Event()
         self.worker = worker = Worker(self._do, self.health, backlog=5000)
         self.beside.append(worker)
         self._put = worker.put
@@ -260,7 +260,7 @@ class RecorderNode(TwinmatchNode):
         self.health.set("session", self._recording.folder)
         self.health.set("messages", self._recording.messages)
         self.health.set("topics", len(self._following))
-        self.health.set("bytes waiting", self._taken - self._written)
+        self.health.set("bytes waiting", self._bytes_taken - self._bytes_written)
         return super().report()
 
     def close(self) -> bool:
@@ -272,7 +272,7 @@ class RecorderNode(TwinmatchNode):
             self._doubts.look(math.inf)
             self._past.finish()
             self.worker.put(self._leave)
-            if not self._left.wait(self.LEAVE) and self.failure is None:
+            if not self._finished.wait(self.LEAVE) and self.failure is None:
                 print(
                     "recorder: ended before everything was written; run twinmatch repair on the session",
                     file=sys.stderr,
@@ -291,7 +291,7 @@ class RecorderNode(TwinmatchNode):
 
     def _leave(self) -> None:
         self._recording.close()
-        self._left.set()
+        self._finished.set()
 
     def _on_search(self) -> None:
         if self.get_clock().now().nanoseconds == 0:
@@ -340,12 +340,12 @@ class RecorderNode(TwinmatchNode):
             self._keep(name, data, ros_now)
 
     def _keep(self, name: str, data: bytes, log_time: int) -> None:
-        if self._taken - self._written > self.MAX_WAITING:
+        if self._bytes_taken - self._bytes_written > self.MAX_WAITING:
             self._dropped += 1
             text = f"{self._dropped} messages were dropped: the disk is too slow"
             self.health.flag("dropped", Level.ERROR, text)
             return
-        self._taken += len(data)
+        self._bytes_taken += len(data)
         self._put(partial(self._write, name, data, log_time))
 
     def _on_lost(self, name: str, event: Any) -> None:
@@ -354,7 +354,7 @@ class RecorderNode(TwinmatchNode):
 
     def _write(self, name: str, data: bytes, log_time: int) -> None:
         self._recording.write(name, data, log_time)
-        self._written += len(data)
+        self._bytes_written += len(data)
 
     def _record(self, name: str, values: Mapping[str, str]) -> None:
         self._put(partial(self._recording.add_record, name, values))

@@ -65,10 +65,10 @@ class KitDriver(DriverThread[KitLink]):
     ERRORS = KitError
 
     _sent = (0.0, 0.0)
-    _said_at = 0.0
+    _wall_sent_at = 0.0
 
     def _refusal(self, error: KitError) -> FaultKind | None:
-        if isinstance(error, KitAbsentError) and not self._known:
+        if isinstance(error, KitAbsentError) and not self._has_answered:
             raise error  # a kit that was never there is not waited for
         return FaultKind.BOARD if isinstance(error, KitSilentError) else None
 
@@ -85,13 +85,13 @@ class KitDriver(DriverThread[KitLink]):
         wanted = (power, second_power)
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
-        if due or wanted != self._sent or time.monotonic() - self._said_at >= MAX_SILENCE:
+        if due or wanted != self._sent or time.monotonic() - self._wall_sent_at >= MAX_SILENCE:
             heats = wanted != (0.0, 0.0)
             self._driving = self._driving or heats  # it may heat though its answer is lost
             reading = self.link.drive(*wanted)
             self._sent = wanted
             self._sent_at = decision.time
-            self._said_at = time.monotonic()
+            self._wall_sent_at = time.monotonic()
             self._driving = heats
             self.connected = True
             self._tell(reading, decision.sample)

@@ -37,7 +37,7 @@ class TwinSimulatorNode(SampleNode):
             health=self.settings.health,
         )
         self._leader = ""
-        self._made = 0  # states
+        self._states_made = 0
         self._published_before = 0  # states published before this node started
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
@@ -56,8 +56,8 @@ class TwinSimulatorNode(SampleNode):
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
-            self._made += 1
-            if self._made > self._published_before:
+            self._states_made += 1
+            if self._states_made > self._published_before:
                 message = state_message(state, self._leader, self.settings.plant.states)
                 self.publish(self._publisher, message)
             return

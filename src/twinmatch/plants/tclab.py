@@ -21,7 +21,7 @@ with a dead time of heater 1 are tried where the others leave too much of a wind
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 from twinmatch.dynamics import (
@@ -40,11 +40,19 @@ from twinmatch.dynamics import (
 )
 from twinmatch.signals import KELVIN
 
-_AREA: Final = 10e-4
-"""Surface of a heater towards the room, m²."""
-_BETWEEN: Final = 2e-4
-"""Surface towards the other heater, m²."""
-_EMISSIVITY: Final = 0.9
+
+@dataclass(frozen=True)
+class HeaterSurface:
+    """The surface of a heater."""
+
+    to_room: float = 10e-4
+    """Towards the room, m²."""
+    to_neighbour: float = 2e-4
+    """Towards the other heater, m²."""
+    emissivity: float = 0.9
+
+
+_SURFACE: Final = HeaterSurface()
 _STEFAN_BOLTZMANN: Final = 5.670374e-8
 """W/(m² K⁴)."""
 
@@ -175,10 +183,10 @@ class TCLab(Plant, name="tclab"):
             """Heat gained from a body at another temperature through a surface."""
             heat = convection * area * (surroundings - temperature)
             if _RADIATION in parts:
-                heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (surroundings**4 - temperature**4)
+                heat += _SURFACE.emissivity * _STEFAN_BOLTZMANN * area * (surroundings**4 - temperature**4)
             return heat
 
-        lost = -gained(heater, self.ambient, _AREA, self.losses)
+        lost = -gained(heater, self.ambient, _SURFACE.to_room, self.losses)
         rates: dict[Any, Any] = {}
         start: dict[Any, Any] = {heater: reading}
         power = self.power
@@ -189,9 +197,9 @@ class TCLab(Plant, name="tclab"):
             start |= arrives.start
         into = self.heating * power - lost
         if _NEIGHBOUR in parts:
-            crossing = gained(heater, neighbour, _BETWEEN, self.exchange)
+            crossing = gained(heater, neighbour, _SURFACE.to_neighbour, self.exchange)
             into += crossing
-            room = gained(neighbour, self.ambient, _AREA, self.losses)
+            room = gained(neighbour, self.ambient, _SURFACE.to_room, self.losses)
             rates[neighbour] = (self.second_heating * self.second + room - crossing) / self.heat_capacity
             start[neighbour] = self.ambient
         rates[heater] = into / self.heat_capacity

@@ -12,6 +12,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 from typing import Final
@@ -24,11 +25,18 @@ _AROUND: Final = 64
 """Sound messages before and after a damaged part that are compared with it."""
 _MOST: Final = 1000
 """Messages that are compared at once."""
-_SIDE: Final = 15
-"""Neighbours on each side that a message or sample is compared with."""
-_FAR: Final = 4.0
-"""Distance from their median at which a time is wrong, in median deviations: at the end of a regular row it
-is two."""
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """What a message or sample is compared with, and how far from it a time is wrong."""
+
+    on_each_side: int = 15
+    far: float = 4.0
+    """Distance from their median in median deviations: at the end of a regular row it is two."""
+
+
+_NEIGHBOURS: Final = Neighbours()
 _DECODED: Final = ("cdr", "ros2msg")
 
 
@@ -84,11 +92,17 @@ def _with_times(row: Sequence[Message]) -> list[Message]:
     return result
 
 
+def _around(number: int) -> slice:
+    """The places of a message and its neighbours in a row."""
+    side = _NEIGHBOURS.on_each_side
+    return slice(max(0, number - side), number + side + 1)
+
+
 def _is_far(times: Sequence[int], number: int) -> bool:
-    near = times[max(0, number - _SIDE) : number + _SIDE + 1]
+    near = times[_around(number)]
     middle = median(near)
     spread = median(abs(time - middle) for time in near)
-    return abs(times[number] - middle) > _FAR * spread + NANOSECONDS
+    return abs(times[number] - middle) > _NEIGHBOURS.far * spread + NANOSECONDS
 
 
 def _undecodable(row: Sequence[Message]) -> set[int]:
@@ -143,7 +157,7 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
     trusted: set[int] = set()
     last = -1
     for number, place in enumerate(places):
-        near = slice(max(0, number - _SIDE), number + _SIDE + 1)
+        near = _around(number)
         if place in sound:
             trusted |= _rising(likely, samples, last, samples[place].index)
             trusted.add(place)

@@ -174,7 +174,7 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._failed = False
         self._closed = False
-        self._held: int | None = None
+        self._lock: int | None = None
         self._file: _SessionFile | None = None
         try:
             self.folder.mkdir(parents=True)
@@ -293,8 +293,8 @@ class SessionWriter:
 
     def _hold(self, handle: int | None) -> None:
         """Keep the lock of another file, or of none; of two files the older is released last."""
-        before = self._held
-        self._held = handle
+        before = self._lock
+        self._lock = handle
         if before is not None:
             os.close(before)
 
