@@ -10,7 +10,7 @@ import pytest
 from tests.support.malformed import KINDS, readings
 from twinmatch.decoding import FiniteNumber, decoded, decoded_json
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.tables import MAX_COLUMNS, RecordingError, read_table, split_title
+from twinmatch.importing.tables import LIMITS, RecordingError, read_table, split_title
 
 DOCUMENTS = 30
 
@@ -59,8 +59,8 @@ def test_a_title_is_split_in_one_way(tmp_path: Path) -> None:
     assert split_title("flow [m³/(s·m)]") == ("flow", "m³/(s·m)")
     assert split_title("( " * 200 + "x" + " " * 400) == (("( " * 200 + "x"), "")
     path = tmp_path / "wide.csv"
-    titles = ",".join(f"c{number}" for number in range(MAX_COLUMNS + 1))
-    row = ",".join(["1"] * (MAX_COLUMNS + 1))
+    titles = ",".join(f"c{number}" for number in range(LIMITS.columns + 1))
+    row = ",".join(["1"] * (LIMITS.columns + 1))
     path.write_text("\n".join([titles, row, row, row]))
     with pytest.raises(
         RecordingError, match=r"has 2001 columns, more than 2000; give each sample its own row"

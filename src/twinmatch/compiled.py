@@ -200,23 +200,23 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
         tell(part.py_func.__name__.strip("_").replace("_", " "))
     with _undisturbed():
         part.compile(tuple(args))
-    found = part.overloads[tuple(args)]
-    context = found.target_context
-    library = context.codegen().create_library(found.fndesc.qualname)
+    compiled = part.overloads[tuple(args)]
+    context = compiled.target_context
+    library = context.codegen().create_library(compiled.fndesc.qualname)
     library.enable_object_caching()
     library._shared_module = llvmlite.binding.parse_assembly("")  # kernels link parts
-    library.add_linking_library(found.library)
-    wrapped = library, found.fndesc, found.environment, found.call_helper
+    library.add_linking_library(compiled.library)
+    wrapped = library, compiled.fndesc, compiled.environment, compiled.call_helper
     before = numba.config.SLP_VECTORIZE
     numba.config.SLP_VECTORIZE = 1
     try:
         context.create_cpython_wrapper(*wrapped, release_gil=True)
         if addressed:
             context.create_cfunc_wrapper(*wrapped)
-        entry = context.get_executable(library, found.fndesc, found.environment)
+        entry = context.get_executable(library, compiled.fndesc, compiled.environment)
     finally:
         numba.config.SLP_VECTORIZE = before
-    result = found._replace(library=library, entry_point=entry, metadata={})
+    result = compiled._replace(library=library, entry_point=entry, metadata={})
     for inner in result._find_referenced_environments():
         library.codegen.set_env(inner.env_name, inner)
     return result
@@ -229,14 +229,14 @@ class _Cache:
         self._function = function
 
     @functools.cached_property
-    def _kept(self) -> Any:
+    def _kernel_cache(self) -> Any:
         try:
             return _KernelCache(self._function)
         except RuntimeError:  # no folder to write to, neither beside the source nor in the user's home
             return NullCache()
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._kept, name)
+        return getattr(self._kernel_cache, name)
 
 
 class _KernelFiles(CompileResultCacheImpl):
@@ -252,22 +252,23 @@ class _KernelFiles(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, reduced: tuple[Any, ...]) -> Any:
         """The kernel, ready to be called: three times as fast as numba, which imports the modules of all
         functions inside and parses the intermediate code."""
-        whole, described, *others, inner = reduced
+        whole, described, *further, inner = reduced
         target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
-        environments = [_environment(*each) for each in inner]
-        return super().rebuild(target_context, (whole, described, *others, environments))
+        environments = [_environment(*arguments) for arguments in inner]
+        return super().rebuild(target_context, (whole, described, *further, environments))
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Environment:
     """The environment of a function inside a kernel."""
-    known = lookup_environment(name)
-    if known is None:
-        known = Environment(vars(sys.modules[module]) if module in sys.modules else {"__name__": module})
-        known.env_name = name
-        Environment._memo[name] = known
-    if len(constants) > len(known.consts):  # an entry point adds those of its results
-        known.consts[:] = constants
-    return known
+    environment = lookup_environment(name)
+    if environment is None:
+        names = vars(sys.modules[module]) if module in sys.modules else {"__name__": module}
+        environment = Environment(names)
+        environment.env_name = name
+        Environment._memo[name] = environment
+    if len(constants) > len(environment.consts):  # an entry point adds those of its results
+        environment.consts[:] = constants
+    return environment
 
 
 class _KernelCache(FunctionCache):
@@ -323,13 +324,13 @@ def _stamp(function: FunctionType) -> str:
     """One hash of all source files and constants that a kernel is made from."""
     files = {__file__}
     constants: set[bytes] = set()
-    seen: set[int] = set()
+    visited: set[int] = set()
     waiting = [function]
     while waiting:
         current = waiting.pop()
-        if id(current) in seen:
+        if id(current) in visited:
             continue
-        seen.add(id(current))
+        visited.add(id(current))
         files.add(current.__code__.co_filename)
         for name, value in _named(current):
             if isinstance(value, Dispatcher):

@@ -68,8 +68,8 @@ class Profile:
         if not self.lowest < self.highest:
             yield f"the range {allowed} is empty"
         if not self.levels or len(self.levels) != len(self.holds):
-            given = f"{len(self.levels)} levels and {len(self.holds)} times are given"
-            yield f"{given}; give one time per level, and at least one level"
+            numbers = f"{len(self.levels)} levels and {len(self.holds)} times are given"
+            yield f"{numbers}; give one time per level, and at least one level"
         for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
             if not self.lowest <= level <= self.highest:
                 yield f"level {number} is {level:g} {unit}; give one in the safe range, {allowed}"
@@ -105,14 +105,14 @@ class Profile:
             raise ControlError(f"{self.name}: the time is {time} s; it must be finite")
         round_ = sum(self.holds)
         first_round = not self.repeat or time < round_
-        at = max(time, 0.0) if not self.repeat else max(time, 0.0) % round_
+        position = max(time, 0.0) if not self.repeat else max(time, 0.0) % round_
         starts = [0.0, *accumulate(self.holds[:-1])]
-        number = bisect_right(starts, at) - 1
+        number = bisect_right(starts, position) - 1
         level = self.levels[number]
         if self.ramp == 0 or (number == 0 and first_round):
             return level
         before = self.levels[number - 1]
-        moved = self.ramp * (at - starts[number])
+        moved = self.ramp * (position - starts[number])
         if moved >= abs(level - before):
             return level
         return before + math.copysign(moved, level - before)
@@ -268,35 +268,48 @@ class Loop:
         references = None if wanted is None else point_values(wanted)
         trouble = self._doubt(now, references)
         if trouble or references is None:
-            self.trouble, self.inputs, self._restart = trouble, [0.0] * len(self._pids), True
-            if self.trying:
-                self.take_back(trouble)
-            if self._number is not None:
-                self.idle += 1
-                self._number = number
+            self._switch_off(trouble, number)
             return None
         if self._number is None:
             self._origin = now
-            number = 0
         elif number != self._number + 1:
-            self._restart = True
-            if self.trial is not None and self.trying:
-                lost = (math.nan,) * len(self._pids)
-                self._show(self.trial, repeat(lost, number - self._number - 1))
+            self._continue_after_gap(number - self._number - 1)
         self._number = number
         self.trouble = ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
+        commands = self._commands(references)
+        return Sample(number, now, references, self._outputs, tuple(commands), self._disturbances)
+
+    def _switch_off(self, trouble: str, number: int) -> None:
+        """Switch the output off at a tick that makes no sample."""
+        self.trouble = trouble
+        self.inputs = [0.0] * len(self._pids)
+        self._restart = True
+        if self.trying:
+            self.take_back(trouble)
+        if self._number is not None:
+            self.idle += 1
+            self._number = number
+
+    def _continue_after_gap(self, missed: int) -> None:
+        """Restart the controllers behind missed ticks, of which a trial has no readings."""
+        self._restart = True
+        if self.trial is not None and self.trying:
+            lost = (math.nan,) * len(self._pids)
+            self._show(self.trial, repeat(lost, missed))
+
+    def _commands(self, references: Signals) -> list[float]:
+        """The commands of this tick as far as they pass; at rest while a fault holds the drives."""
         if self.held:
             self.inputs = [drive.rest for drive in self._plant.drives.values()]
             self._restart = True
-            passed = self.inputs
-        else:
-            if self.trial is not None and self.trying:
-                self._watch(self.trial, references)
-            passed = [self._step(k, references[k]) for k in range(len(self._pids))]
-            self._restart = False
-        return Sample(number, now, references, self._outputs, tuple(passed), self._disturbances)
+            return self.inputs
+        if self.trial is not None and self.trying:
+            self._watch(self.trial, references)
+        commands = [self._step(k, references[k]) for k in range(len(self._pids))]
+        self._restart = False
+        return commands
 
     def try_law(self, law: Law, trial: LawTrial) -> None:
         """Put a law on trial: in the shadow of the one that runs, or driving from the next tick on.
@@ -311,13 +324,13 @@ class Loop:
             raise ControlError(
                 f"loop: a law on trial is {len(self._gains)} PIDs, every {self.period:g} s; give those"
             )
-        if not all(each.integral for each in gains):
+        if not all(loop_gains.integral for loop_gains in gains):
             raise ControlError("loop: a law without integral gain cannot take over without a bump; give one")
         if self.trying:
             raise ControlError("loop: a law is on trial already; take it back first, or wait")
         self.trial = trial
         self._beside = gains
-        self._shadows = [Controller(each) for each in gains]
+        self._shadows = [Controller(loop_gains) for loop_gains in gains]
         self._tried_at = ()
         if trial.drives:
             self._exchange()
@@ -334,8 +347,11 @@ class Loop:
 
     def _exchange(self) -> None:
         """Have the other law drive, continued from the current command."""
-        self._gains, self._beside, self.shadow = self._beside, self._gains, ()
-        self._pids = [Controller(each) for each in self._gains]
+        driving = self._gains
+        self._gains = self._beside
+        self._beside = driving
+        self.shadow = ()
+        self._pids = [Controller(loop_gains) for loop_gains in self._gains]
         self._restart = True
 
     def _show(self, trial: LawTrial, read: Iterable[Signals]) -> None:
@@ -357,8 +373,8 @@ class Loop:
         if not trial.drives and not trial.ended:
             for k, pid in enumerate(self._shadows if not before else ()):
                 pid.state = self._continued(k, references[k], self._outputs[k], self._beside[k])
-            each = zip(self._shadows, references, self._outputs, strict=True)
-            self.shadow = tuple(float(pid.step(r, y)[0]) for pid, r, y in each)
+            loops = zip(self._shadows, references, self._outputs, strict=True)
+            self.shadow = tuple(float(pid.step(r, y)[0]) for pid, r, y in loops)
 
     def _step(self, k: int, reference: float) -> float:
         """One step of a PID; returns what passes of its command."""
@@ -374,14 +390,14 @@ class Loop:
             pid.state = pid.state - np.array([excess, 0.0])
         return self.inputs[k] - excess
 
-    def _place(self, now: int) -> int | None:
+    def _place(self, tick_time: int) -> int | None:
         """Number of this tick on the grid; None if it does not count."""
         if self._number is None:
             return 0
         expected = self._number + 1
-        late = now - self._origin - expected * self._period
-        if now < self._newest:  # the clock was set back
-            self._origin = now - (expected + 1) * self._period
+        late = tick_time - self._origin - expected * self._period
+        if tick_time < self._newest:  # the clock was set back
+            self._origin = tick_time - (expected + 1) * self._period
             self._measured = None  # stamped by the old time; it would seem fresh until the clock caught up
             self.missed += 1
             self.jitter = 0.0
@@ -391,27 +407,26 @@ class Loop:
         if late < 0:
             self._origin += late
             late = 0
-        skipped, rest = divmod(late, self._period)
+        skipped, lateness = divmod(late, self._period)
         self.missed += skipped
-        self.jitter = rest / NANOSECONDS
+        self.jitter = lateness / NANOSECONDS
         return expected + skipped
 
-    def _doubt(self, now: int, references: Signals | None) -> str:
+    def _doubt(self, tick_time: int, references: Signals | None) -> str:
         """Why there is no sample now; empty if there is one."""
         names = " and ".join(self._plant.outputs)
-        working = (
-            f"is the {' and the '.join({each.sensor: 0 for each in self._plant.outputs.values()})} working?"
-        )
+        sensors = dict.fromkeys(output.sensor for output in self._plant.outputs.values())
+        working = f"is the {' and the '.join(sensors)} working?"
         if self._measured is None:
             return f"no {names} yet; {working}"
-        if now - self._measured > self._max_age:
-            age = (now - self._measured) / NANOSECONDS
+        if tick_time - self._measured > self._max_age:
+            age = (tick_time - self._measured) / NANOSECONDS
             return f"the newest {names} is {age:.1f} s old; {working}"
         if references is None:
             return "no set-point yet"
         if len(references) != len(self._pids):
             return f"{len(references)} set-points are given for {names}"
-        wrong = next((each for each in references if not math.isfinite(each)), None)
+        wrong = next((reference for reference in references if not math.isfinite(reference)), None)
         return "" if wrong is None else f"the set-point is {wrong}, not a finite number"
 
     def _continued(

@@ -69,28 +69,37 @@ def given_keys(document: msgspec.Struct) -> dict[str, Any]:
 
 def _words(error: str, place: str, kind: Any, tree: Any = None) -> str:
     """The library's message in words, after the place and the field in it."""
-    found = _PLACE.match(error)
-    why, at = (found["why"], found["place"]) if found else (error, "")
+    why = error
+    path = ""
+    with_place = _PLACE.match(error)
+    if with_place:
+        why = with_place["why"]
+        path = with_place["place"]
     if field := _FIELD.match(why):
-        at = ".".join(filter(None, (at, field["name"])))
-        known = ", ".join(sorted(getattr(kind, "__struct_fields__", ()))) if not found else ""
+        path = ".".join(filter(None, (path, field["name"])))
         why = "is missing" if field["lacks"] else "is not a known key"
-        why += f"; there are {known}" if known else ""
+        keys = sorted(getattr(kind, "__struct_fields__", ()))
+        if keys and not with_place:
+            why += f"; there are {', '.join(keys)}"
     elif expected := _EXPECTED.match(why):
-        kinds = [_WORDS.get(one, one) for one in expected["wanted"].split(" | ") if one != "null"]
+        kinds = [_WORDS.get(word, word) for word in expected["wanted"].split(" | ") if word != "null"]
         finite = "e+308" in expected["more"]
         wanted = "a finite number" if finite else " or ".join(kinds) + expected["more"]
-        why = f"is {_value(tree, at, expected['got'])}; give {wanted}"
-    told = [one[:LONGEST] if one.isprintable() else ascii(one)[:LONGEST] for one in (at, why)]
-    return ": ".join(filter(None, (place, *told)))
+        why = f"is {_value(tree, path, expected['got'])}; give {wanted}"
+    return ": ".join(filter(None, (place, _shortened(path), _shortened(why))))
 
 
-def _value(tree: Any, at: str, kind: str | None) -> str:
+def _shortened(text: str) -> str:
+    """A text in printable characters, not too long for a message."""
+    return (text if text.isprintable() else ascii(text))[:LONGEST]
+
+
+def _value(tree: Any, path: str, kind: str | None) -> str:
     """The value at a place in a tree, shortened; its kind where the place is not exact."""
-    if "[...]" in at:
+    if "[...]" in path:
         return _WORDS.get(kind or "", "of another kind")
     try:
-        for number, name in re.findall(r"\[(\d+)\]|([^.\[\]]+)", at):
+        for number, name in re.findall(r"\[(\d+)\]|([^.\[\]]+)", path):
             tree = tree[int(number)] if number else tree[name]
     except (LookupError, TypeError):
         return _WORDS.get(kind or "", kind or "of another kind")

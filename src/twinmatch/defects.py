@@ -55,8 +55,8 @@ def defect_of(error: Exception) -> Defect:
     inside = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
     innermost = (inside or frames)[-1]
     message = " ".join(str(error).split())[:_LONGEST]
-    said = f"{type(error).__name__}: {message}" if message else type(error).__name__
-    return Defect(said, innermost.filename, innermost.lineno or 0, innermost.name)
+    text = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    return Defect(text, innermost.filename, innermost.lineno or 0, innermost.name)
 
 
 def log_once(consequence: str, defect: Defect, logged: dict[str, Defect]) -> None:

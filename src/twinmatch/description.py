@@ -61,9 +61,19 @@ class Description:
     def loops(self) -> tuple[Loop, ...]:
         """Its set-points, outputs and inputs, in one place what belongs together (of fewer the last); several
         have their texts as names."""
-        kinds = [_by_text(kind) for kind in (self.references, self.outputs, self.inputs)]
-        size = max(len(self.outputs), len(self.inputs))
-        return tuple(tuple(kind[min(k, len(kind) - 1)] for kind in kinds) for k in range(size))  # type: ignore[misc]
+        references = _by_text(self.references)
+        outputs = _by_text(self.outputs)
+        inputs = _by_text(self.inputs)
+        loops = []
+        for k in range(max(len(outputs), len(inputs))):
+            loops.append(
+                (
+                    references[min(k, len(references) - 1)],
+                    outputs[min(k, len(outputs) - 1)],
+                    inputs[min(k, len(inputs) - 1)],
+                )
+            )
+        return tuple(loops)
 
     @property
     def shape(self) -> tuple[int, int, int]:

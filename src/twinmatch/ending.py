@@ -21,9 +21,9 @@ def end_in_order(*endings: Callable[[], object]) -> bool:
     """
     if not endings:
         return True
-    first, *others = endings
+    first, *later = endings
     try:
         first_ended = first() is not False
     finally:
-        others_ended = end_in_order(*others)
+        others_ended = end_in_order(*later)
     return first_ended and others_ended

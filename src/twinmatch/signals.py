@@ -215,8 +215,8 @@ class Window:
         if len(lengths) != 1:
             msg = f"window: references, outputs and inputs have lengths {sorted(lengths)}; they must be equal"
             raise SignalError(msg)
-        given = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
-        disturbances = np.array(given, dtype=np.float64)
+        measured = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
+        disturbances = np.array(measured, dtype=np.float64)
         if disturbances.ndim != 2 or len(disturbances) != len(self):
             raise SignalError(
                 f"window: disturbances have shape {disturbances.shape}; "
@@ -224,12 +224,12 @@ class Window:
             )
         self._keep("disturbances", disturbances)
         if self.seen is not None:
-            seen = np.array(self.seen, dtype=np.bool_)
-            if seen.shape != (len(self),):
-                msg = f"window: seen has shape {seen.shape}; give one truth value for each of {len(self)}"
+            is_seen = np.array(self.seen, dtype=np.bool_)
+            if is_seen.shape != (len(self),):
+                msg = f"window: seen has shape {is_seen.shape}; give one truth value for each of {len(self)}"
                 raise SignalError(msg)
-            seen.flags.writeable = False
-            object.__setattr__(self, "seen", None if seen.all() else seen)
+            is_seen.flags.writeable = False
+            object.__setattr__(self, "seen", None if is_seen.all() else is_seen)
         if not (np.isfinite(self.period) and self.period > 0):
             raise SignalError(f"window: the period is {self.period} s; it must be positive")
 
@@ -271,8 +271,8 @@ class Window:
                 )
             values = np.fromiter(chain.from_iterable(rows), dtype=np.float64)
             columns[name] = values.reshape(len(samples), len(rows[0]))
-        seen = np.array(list(map(attrgetter("seen"), samples)))
-        return cls(**columns, first=int(indices[0]), period=period, seen=seen)
+        is_seen = np.array(list(map(attrgetter("seen"), samples)))
+        return cls(**columns, first=int(indices[0]), period=period, seen=is_seen)
 
     def __len__(self) -> int:
         return len(self.references)
@@ -309,8 +309,8 @@ class Window:
             SignalError: the window does not hold them all.
         """
         if not self.first <= first <= last <= self.last:
-            held = f"{self.first} to {self.last}"
-            raise SignalError(f"window: samples {first} to {last} requested; it holds only {held}")
+            extent = f"{self.first} to {self.last}"
+            raise SignalError(f"window: samples {first} to {last} requested; it holds only {extent}")
         span = slice(first - self.first, last - self.first + 1)
         return Window(
             self.references[span],
@@ -344,20 +344,22 @@ class Window:
         newer = newer.part(self.last + 1, newer.last)
         columns = {}
         for name in SIGNALS:
-            here = getattr(self, name)
-            there = getattr(newer, name)
-            if here.shape[1] != there.shape[1]:
-                raise SignalError(f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal")
-            columns[name] = np.concatenate([here, there])
-        seen = np.concatenate([self.marks, newer.marks])
-        return Window(**columns, first=self.first, period=self.period, seen=seen)
+            older = getattr(self, name)
+            newer_values = getattr(newer, name)
+            if older.shape[1] != newer_values.shape[1]:
+                raise SignalError(
+                    f"window: {older.shape[1]} and {newer_values.shape[1]} {name}; they must be equal"
+                )
+            columns[name] = np.concatenate([older, newer_values])
+        is_seen = np.concatenate([self.marks, newer.marks])
+        return Window(**columns, first=self.first, period=self.period, seen=is_seen)
 
     def samples(self, begin: int) -> list[Sample]:
         """Its samples; `begin` is the stamp of index 0, ns, from which they are a period apart."""
         rows = zip(*(map(tuple, getattr(self, name).tolist()) for name in SIGNALS), strict=True)
         return [
-            Sample(index, begin + round(index * self.period * 1e9), *values, seen=seen)
-            for index, (values, seen) in enumerate(
+            Sample(index, begin + round(index * self.period * 1e9), *values, seen=is_seen)
+            for index, (values, is_seen) in enumerate(
                 zip(rows, self.marks.tolist(), strict=True), start=self.first
             )
         ]

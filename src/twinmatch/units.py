@@ -116,22 +116,23 @@ def measure(unit: str) -> Measure:
 
 
 @lru_cache(maxsize=256)
-def conversion(given: str, wanted: str) -> Conversion:
+def conversion(unit: str, wanted: str) -> Conversion:
     """Conversion from one unit to another.
 
     Raises:
         UnitError: they measure different things.
     """
-    if _plain(given) == _plain(wanted):
+    if _plain(unit) == _plain(wanted):
         return Conversion()
-    if _TEMPERATURE in (measure(given).dimension, measure(wanted).dimension):
-        given, wanted = (_COLUMN_WORDS.get(unit.strip(), unit) for unit in (given, wanted))
-    source = measure(given)
+    if _TEMPERATURE in (measure(unit).dimension, measure(wanted).dimension):
+        unit = _COLUMN_WORDS.get(unit.strip(), unit)
+        wanted = _COLUMN_WORDS.get(wanted.strip(), wanted)
+    source = measure(unit)
     target = measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:
-        raise UnitError(f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}")
+        raise UnitError(f"{unit or 'a plain number'} cannot be converted to {wanted or 'a plain number'}")
     quantity = _registry().Quantity
-    low, high = (_float(quantity(x, _plain(given)).to(_plain(wanted)).magnitude) for x in (0.0, _FAR))
+    low, high = (_float(quantity(x, _plain(unit)).to(_plain(wanted)).magnitude) for x in (0.0, _FAR))
     return Conversion((high - low) / _FAR if low else high / _FAR, low)
 
 

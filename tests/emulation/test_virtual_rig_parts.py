@@ -529,7 +529,7 @@ def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.Monkey
 
 
 def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(virtual_camera, "_PATIENCE", 0.05)
+    monkeypatch.setattr(virtual_camera.VirtualCamera, "PATIENCE", 0.05)
     real = subprocess.Popen
 
     def slow(_: list[str], **settings: object) -> object:

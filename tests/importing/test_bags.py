@@ -195,7 +195,7 @@ def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
 def test_the_reading_of_a_bag_reports_its_progress(
     tmp_path: Path, plant: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bags, "_EVERY", 5)
+    monkeypatch.setattr(bags.Bag, "PROGRESS_EVERY", 5)
     shares: list[float] = []
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     map_bag(

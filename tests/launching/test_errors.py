@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tests.support.nonsense import Nonsense
 from twinmatch.errors import TwinmatchError
-from twinmatch.launching.live import MAX_LINES, MAX_REPEATS, MAX_TEXT, Errors
+from twinmatch.launching.live import Errors
 from twinmatch.nodes.entrance import Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.health import NodeHealth
@@ -59,7 +59,7 @@ def test_what_is_shown_is_one_printable_line_of_bounded_length(told: Told) -> No
     [line] = told.take("\x1b]0;owned\x07", "\x1b[2J\nrig: health: recovered" + "x" * 40_000)
     assert line.startswith(r"\x1b]0;owned\x07: \x1b[2J\nrig: health")
     assert line.isprintable()
-    assert len(line) < 2 * MAX_TEXT
+    assert len(line) < 2 * Errors.MAX_TEXT
 
 
 def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(told: Told) -> None:
@@ -88,7 +88,7 @@ def test_an_error_that_comes_and_goes_hides_no_other(told: Told) -> None:
     for k in range(100):
         told.take("sampler", f"input arrives every 0.1{k} s")
         told.take("sampler", "well", DiagnosticStatus.OK)
-    assert len(told.lines) == 2 * MAX_REPEATS
+    assert len(told.lines) == 2 * Errors.MAX_REPEATS
     told.take("sampler", "/heater no longer has a publisher")
     assert told.lines[-1] == "sampler: /heater no longer has a publisher"
 
@@ -97,11 +97,11 @@ def test_a_flood_of_errors_ends(told: Told) -> None:
     for k in range(100):
         told.take("a", "x" * k)
         told.take("a", "well", DiagnosticStatus.OK)
-    assert len(told.lines) == MAX_LINES
+    assert len(told.lines) == Errors.MAX_LINES
     for k in range(5000):
         told.take(f"node {'x' * k}", "error", DiagnosticStatus.ERROR)
         told.take(f"node {'x' * k}", "well", DiagnosticStatus.OK)
-    assert len(told.lines) <= 2 * MAX_NODES * MAX_LINES
+    assert len(told.lines) <= 2 * MAX_NODES * Errors.MAX_LINES
 
 
 def test_a_fault_of_the_plant_is_left_to_the_verdicts(told: Told) -> None:

@@ -42,7 +42,7 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
-from twinmatch.launching.live import RESTARTS, _LiveRun
+from twinmatch.launching.live import _LiveRun
 from twinmatch.launching.plan import VirtualPlan
 from twinmatch.launching.processes import Page, Processes, add_page_options, page_of
 from twinmatch.launching.watch import Watch
@@ -185,10 +185,10 @@ def test_the_run_ends_with_what_it_cannot_do_without(
 @pytest.mark.parametrize("name", ["twin", "recorder", "plant_clock"])
 def test_others_are_restarted_but_not_for_ever(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     run, processes = ending(name, -9)
-    for _ in range(RESTARTS):
+    for _ in range(_LiveRun.RESTARTS):
         assert run.check(Watch) is None  # type: ignore[arg-type]
     assert f"{name} ended with code -9; restarting it" in capsys.readouterr().out
-    assert len(processes.started) == RESTARTS
+    assert len(processes.started) == _LiveRun.RESTARTS
     assert processes.started[0].startswith(f"{name}: twinmatch.nodes {name} --ros-args")
     assert run.check(Watch) == 3  # type: ignore[arg-type]
     assert "after 12 restarts in 600 s" in run._live.ending

@@ -11,13 +11,13 @@ from paho.mqtt.client import MQTTMessage
 from tests.support.broker import RunningBroker, require
 from tests.support.waiting import PATIENCE
 from twinmatch.links import mqtt_client
-from twinmatch.links.mqtt_client import Broker, leave
+from twinmatch.links.mqtt_client import Broker, BrokerTimes, leave
 
 
 def test_a_thread_that_does_not_end_is_waited_for_no_longer_than_its_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_client, "LEAVE", 0.05)
+    monkeypatch.setattr(mqtt_client, "TIMES", BrokerTimes(leave=0.05))
     came = Event()
     released = Event()
 
@@ -32,7 +32,7 @@ def test_a_thread_that_does_not_end_is_waited_for_no_longer_than_its_limit(
         assert came.wait(PATIENCE)
         assert not leave(client)
         released.set()
-        monkeypatch.setattr(mqtt_client, "LEAVE", PATIENCE)
+        monkeypatch.setattr(mqtt_client, "TIMES", BrokerTimes(leave=PATIENCE))
         assert leave(client)
     finally:
         released.set()

@@ -19,7 +19,6 @@ from hypothesis.extra import numpy as hnp
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.links.thermal_client import (
-    CLOCK_MEMORY,
     ClientSettings,
     LinkState,
     LinkStatus,
@@ -364,7 +363,7 @@ def test_clocks_that_drift_apart_cost_what_they_drift_in_two_stretches() -> None
         camera = ours - ours * 50 // 1_000_000  # 50 ppm slow
         worst = max(worst, abs(mapper.map(camera, ours) - ours))
     # 50 ppm of two stretches of 30 s are 3 ms.
-    assert worst <= 2 * CLOCK_MEMORY * 50 // 1_000_000 + MS
+    assert worst <= 2 * StampMapper.MEMORY * 50 // 1_000_000 + MS
 
 
 def test_a_quick_frame_is_forgotten_after_two_stretches() -> None:

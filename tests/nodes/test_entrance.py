@@ -37,7 +37,7 @@ from twinmatch.fitting.match import Fit
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
-from twinmatch.nodes.entrance import ALONE, MAX_KINDS, MAX_NAMES, MAX_REASONS, Course
+from twinmatch.nodes.entrance import ALONE, Course, Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
@@ -455,7 +455,7 @@ class Beside:
             k for node in self._program.nodes for k in node.health.report().values if "refused" in k
         }
         assert len(refusal_counters) >= len(self.topics)
-        assert all(len(node.entrance._told) <= MAX_KINDS for node in self._program.nodes)
+        assert all(node.entrance.refusals <= Entrance.MAX_KINDS for node in self._program.nodes)
         assert self._program.end() == 0, self._program.text
 
 
@@ -526,10 +526,10 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     assert not listener.health
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    other_nodes = [Node(f"other_{k}", context=listener.node.context) for k in range(MAX_NAMES)]
+    other_nodes = [Node(f"other_{k}", context=listener.node.context) for k in range(Entrance.MAX_NAMES)]
     for node in other_nodes:
         node.create_publisher(messages.LoopSample, "plant/sample", 10)
-    many = MAX_NAMES + 1
+    many = Entrance.MAX_NAMES + 1
     listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
     draw = Nonsense(seed=27)
     for _ in range(60):
@@ -539,7 +539,7 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
         lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
     )
     kinds_told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
-    assert max(kinds_told) == MAX_REASONS
+    assert max(kinds_told) == Entrance.MAX_REASONS
     for node in other_nodes:
         node.destroy_node()
 
@@ -680,7 +680,7 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.nodes.samples.MAX_QUEUED", -1)
+    monkeypatch.setattr("twinmatch.nodes.samples.SampleNode.MAX_QUEUED", -1)
     (node,) = start("twin_simulator").nodes
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])

@@ -206,4 +206,4 @@ def test_a_middleware_is_looked_for_where_ros_is(tmp_path: Path) -> None:
     assert "'rmw_third_cpp', which is not installed" in problem(
         environment | {"RMW_IMPLEMENTATION": "rmw_third_cpp"}
     )
-    assert problem({"RMW_IMPLEMENTATION": "rmw_other_cpp"}, own="/nowhere") == ""  # nobody knows
+    assert problem({"RMW_IMPLEMENTATION": "rmw_other_cpp"}, wheel_prefix="/nowhere") == ""  # nobody knows

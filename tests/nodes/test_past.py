@@ -30,8 +30,8 @@ def sample(index: int) -> Sample:
 def kept(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
     """A store that gives so many at a time."""
     with pytest.MonkeyPatch.context() as patch, closing(RunStore()) as store:
-        patch.setattr(keeper, "MAX_SAMPLES", samples)
-        patch.setattr(keeper, "MAX_MESSAGES", messages)
+        patch.setattr(keeper.RunStore, "MAX_SAMPLES", samples)
+        patch.setattr(keeper.RunStore, "MAX_MESSAGES", messages)
         yield store
 
 

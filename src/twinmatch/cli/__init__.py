@@ -110,8 +110,10 @@ def _run(arguments: Sequence[str] | None) -> int:
         with started(options):
             return command(options)
     except TwinmatchError as error:
-        told = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))  # it may quote a file
-        print(f"twinmatch: {told}", file=sys.stderr)
+        printable = "".join(
+            c if c.isprintable() else ascii(c)[1:-1] for c in str(error)
+        )  # it may quote a file
+        print(f"twinmatch: {printable}", file=sys.stderr)
         return EXIT_USER_ERROR
     except ModuleNotFoundError as error:
         return _without(error, command)

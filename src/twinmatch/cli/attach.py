@@ -69,14 +69,14 @@ def run(options: argparse.Namespace) -> int:
         require_ros("attach", _INSTEAD)
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
-    said = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
+    given_map = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
     session = session_to_record(options)
-    values, _ = sampler_values(options.config, said, options.source)
+    values, _ = sampler_values(options.config, given_map, options.source)
     if options.alone or (values["source"] and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
         sessions = [session] if session else []
         code = _run_alone(options, values, session)
     else:
-        sessions, code = _run_graph(options, said, session)
+        sessions, code = _run_graph(options, given_map, session)
     if code == 0:
         remember_recorded(options, sessions)
     return code
@@ -89,9 +89,12 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
     settings = twin_beside(values, options.twin_config)
     candidates = read_text(options.candidates) if options.candidates else ""
     usual = RecordingLimits()
-    given = sections_of(options.config, SAMPLER, "recorder") if options.config else {}
-    own = {one.name: one.accept(given.get(one.name, one.default), "recorder") for one in parameters_of(usual)}
-    limits = given_to(usual, own)
+    section = sections_of(options.config, SAMPLER, "recorder") if options.config else {}
+    accepted = {}
+    for parameter in parameters_of(usual):
+        value = section.get(parameter.name, parameter.default)
+        accepted[parameter.name] = parameter.accept(value, "recorder")
+    limits = given_to(usual, accepted)
     try:
         run_alone(AlonePlan(values, settings, candidates, session, limits, options.dashboard, options.tell))
     except DiskError as error:
@@ -100,14 +103,16 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
     return 0
 
 
-def _run_graph(options: argparse.Namespace, said: SignalMap, session: Path | None) -> tuple[list[Path], int]:
+def _run_graph(
+    options: argparse.Namespace, given_map: SignalMap, session: Path | None
+) -> tuple[list[Path], int]:
     require_ros("attach", _INSTEAD)
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
         asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
-        plan = attach_plan(Path(folder), said, session=session, source=options.source, **asked)
+        plan = attach_plan(Path(folder), given_map, session=session, source=options.source, **asked)
         live = Live(plan)
         with page_of(options, options.parser, plan.twin_config):
             return live.sessions, run_live(live)

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from twinmatch.cli.shared import (
     TERMS,
@@ -24,16 +25,19 @@ from twinmatch.offline.backtest import Choices, backtest_outputs
 from twinmatch.offline.backtest.scoring import Backtest, document, over_all
 from twinmatch.showing.forecasts import backtest_tables, backtest_words
 
+if TYPE_CHECKING:
+    from twinmatch.offline.channels import ChannelHealth
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     # Sessions come first: after --horizon or --peers they would be parsed as further values of these.
     parser.usage = "%(prog)s SESSION [SESSION ...] [options]"
     add_options(parser, "sessions")
     seconds = positive(float, "a time in seconds; give a positive number")
-    every = "seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)"
-    parser.add_argument("--every", type=seconds, metavar="S", help=every)
-    ahead = "forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)"
-    parser.add_argument("--horizon", type=seconds, nargs="+", metavar="S", help=ahead)
+    interval = "seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)"
+    parser.add_argument("--every", type=seconds, metavar="S", help=interval)
+    horizons = "forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)"
+    parser.add_argument("--horizon", type=seconds, nargs="+", metavar="S", help=horizons)
     add_options(parser, "--peers")
     add_options(parser, "--json", help="write the scores, and those of every forecast, to this file")
     add_options(parser, "--figure", help="draw the scores (.png, .svg or .pdf)")
@@ -59,36 +63,50 @@ def run(options: argparse.Namespace) -> int:
     totals = _totals(tests)
     for total in totals if len(tests) > len(totals) else ():
         _print(total)
-    health = list(dict.fromkeys(each.health for each in tests if each.health))
-    of_all = [document(total, forecasts=False) for total in totals]
-    write_json(
-        options.json,
-        lambda: {
-            "sessions": [document(each) for each in tests],
-            "total": of_all if of_all[1:] else of_all[0],
-            **({"health": [one.document() for one in health]} if health else {}),
-        },
-    )
+    channel_tests = list(dict.fromkeys(test.health for test in tests if test.health))
+    write_json(options.json, lambda: _document(tests, totals, channel_tests))
     if options.figure is not None:
-        from twinmatch.showing.figures.channels import draw_channels  # noqa: PLC0415
-        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
-        from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
-
-        for number, total in enumerate(totals):
-            ending = f"_{next(iter(total.plant.outputs))}" if number else ""
-            save(draw_backtest(total), options.figure.with_stem(options.figure.stem + ending))
-        for number, one in enumerate(health):
-            ending = f"_health_{number + 1}" if health[1:] else "_health"
-            save(draw_channels(one), options.figure.with_stem(options.figure.stem + ending))
+        _draw(totals, channel_tests, options.figure)
     return exit_code(tested, len(sessions) - tested)
+
+
+def _document(
+    tests: Sequence[Backtest], totals: Sequence[Backtest], channel_tests: Sequence[ChannelHealth]
+) -> dict[str, Any]:
+    """What is written to the file of `--json`."""
+    of_totals = [document(total, forecasts=False) for total in totals]
+    tree: dict[str, Any] = {
+        "sessions": [document(test) for test in tests],
+        "total": of_totals[0] if len(of_totals) == 1 else of_totals,
+    }
+    if channel_tests:
+        tree["health"] = [channel_test.document() for channel_test in channel_tests]
+    return tree
+
+
+def _draw(totals: Sequence[Backtest], channel_tests: Sequence[ChannelHealth], figure: Path) -> None:
+    """Draw the scores of every output and of the channels, each into a file of its own beside `figure`."""
+    from twinmatch.showing.figures.channels import draw_channels  # noqa: PLC0415
+    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+    from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
+
+    for number, total in enumerate(totals):
+        ending = f"_{next(iter(total.plant.outputs))}" if number else ""
+        save(draw_backtest(total), figure.with_stem(figure.stem + ending))
+    for number, channel_test in enumerate(channel_tests):
+        ending = f"_health_{number + 1}" if len(channel_tests) > 1 else "_health"
+        save(draw_channels(channel_test), figure.with_stem(figure.stem + ending))
 
 
 def _totals(tests: Sequence[Backtest]) -> list[Backtest]:
     """Over all sessions, output by output."""
-    outputs: dict[object, list[Backtest]] = {}
+    tests_by_output: dict[object, list[Backtest]] = {}
     for test in tests:
-        outputs.setdefault(test.plant.output, []).append(test)
-    return [of[0] if len(of) == 1 else over_all(of) for of in outputs.values()]
+        tests_by_output.setdefault(test.plant.output, []).append(test)
+    totals = []
+    for tests_of_output in tests_by_output.values():
+        totals.append(tests_of_output[0] if len(tests_of_output) == 1 else over_all(tests_of_output))
+    return totals
 
 
 def _tested(path: Path, options: argparse.Namespace) -> tuple[Backtest, ...]:

@@ -91,16 +91,18 @@ def run(options: argparse.Namespace) -> int:
         answer = None if options.loop is None else _tried(options.loop, ground, twins)
         goal = goal_named(options.goal, twins, terms, answer)
         with Progress("searching") as progress:
-            found = next_experiment(twins, goal, terms, progress.advance)
-    for line in experiment_words(found):
+            experiment = next_experiment(twins, goal, terms, progress.advance)
+    for line in experiment_words(experiment):
         print(line)
-    write_json(options.json, lambda: experiment_document(found) | {"notes": list(ground.session.missing)})
+    write_json(
+        options.json, lambda: experiment_document(experiment) | {"notes": list(ground.session.missing)}
+    )
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
-        save(draw_experiment(found), options.figure)
-    return 0 if found.course.characters >= LEAST else 3
+        save(draw_experiment(experiment), options.figure)
+    return 0 if experiment.course.characters >= LEAST else 3
 
 
 def _tried(path: Path, ground: Ground, twins: tuple[TriedTwin, ...]) -> ControllerAnswer:
@@ -129,7 +131,7 @@ def _ask(options: argparse.Namespace) -> int:
         options.config,
         options.candidates,
     )
-    if any(given is not None for given in offline) or options.goal == "controller":
+    if any(option is not None for option in offline) or options.goal == "controller":
         options.parser.error(
             "--live takes --go, --minutes, --within and --for structure, parameters or fault"
         )

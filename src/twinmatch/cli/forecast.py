@@ -63,16 +63,17 @@ def run(options: argparse.Namespace) -> int:
     with held_interrupts():
         settings, requested = _forecasts(options)
 
-    for one in requested:
-        _print(one, settings)
-    why = "its forecasts have saved the most characters so far"
-    print(f"The leader is the candidate to forecast with: {why}.")
-    write_json(options.json, lambda: [forecast_document(one.fan.forecast) for one in requested])
+    for forecast in requested:
+        _print(forecast, settings)
+    forecasts = [forecast.fan.forecast for forecast in requested]
+    reason = "its forecasts have saved the most characters so far"
+    print(f"The leader is the candidate to forecast with: {reason}.")
+    write_json(options.json, lambda: [forecast_document(forecast) for forecast in forecasts])
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
 
-        save(draw_forecasts(tuple(one.fan for one in requested), settings.plant), options.figure)
+        save(draw_forecasts(tuple(forecast.fan for forecast in requested), settings.plant), options.figure)
     return 0
 
 
@@ -104,32 +105,48 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     period = terms.settings.period
     size = samples_ahead(options.horizon, settings)
     samples = samples_at(session, options.at)
-    given = {"settings": settings, "reference": options.reference, "hold": options.hold, "rows": rows}
-    ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
+    ahead = {}
+    for index, sample in samples.items():
+        ahead[index] = ahead_of(
+            session,
+            sample,
+            size,
+            settings=settings,
+            reference=options.reference,
+            hold=options.hold,
+            rows=rows,
+        )
     with Progress() as progress:
-        whole = options.from_the_beginning
-        watch = progress.advance
-        known = prospects(session, terms, samples, candidate=options.candidate, whole=whole, watch=watch)
-    last = known[max(samples)]
-    taken = [s for s in session.samples if last.since is None or s.index >= last.since]
+        by_sample = prospects(
+            session,
+            terms,
+            samples,
+            candidate=options.candidate,
+            whole=options.from_the_beginning,
+            watch=progress.advance,
+        )
+    last = by_sample[max(samples)]
+    taught_samples = [s for s in session.samples if last.since is None or s.index >= last.since]
+    measured = filled_stretches(taught_samples, settings, last.taught)
     requested = {}
-    came = filled_stretches(taken, settings, last.taught)
-    for k in samples:
-        forecast = forecast_of(known[k], ahead[k], period)
-        made = fan(replace(forecast, notes=(*session.missing, *forecast.notes)), came)
-        requested[k] = _Requested(made, known[k], ahead[k].words)
-    return settings, [requested[k] for k in options.at]
+    for index in samples:
+        forecast = forecast_of(by_sample[index], ahead[index], period)
+        forecast = replace(forecast, notes=(*session.missing, *forecast.notes))
+        requested[index] = _Requested(fan(forecast, measured), by_sample[index], ahead[index].words)
+    return settings, [requested[index] for index in options.at]
 
 
-def _print(one: _Requested, settings: TwinSettings) -> None:
-    forecast = one.fan.forecast
-    prospect = one.prospect
+def _print(requested: _Requested, settings: TwinSettings) -> None:
+    forecast = requested.fan.forecast
+    prospect = requested.prospect
     seconds = f"{forecast.sample * settings.period:g} s"
-    print(f"At {seconds} (sample {forecast.sample}), {one.words}:")
+    print(f"At {seconds} (sample {forecast.sample}), {requested.words}:")
     confidence = f"confidence {prospect.leader_confidence:.2f}"
-    who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
-    print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {who}")
-    for line in forecast_words(forecast, settings) + comparison_words(one.fan, settings.plant):
+    leader = (
+        f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
+    )
+    print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {leader}")
+    for line in forecast_words(forecast, settings) + comparison_words(requested.fan, settings.plant):
         print(f"  {line}")
     for note in forecast.notes:
         print(f"  Note: {note.rstrip('.')}.")

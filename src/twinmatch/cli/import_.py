@@ -32,23 +32,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing session")
-    other = parser.add_argument_group("your own plant, with any column names")
+    mapping = parser.add_argument_group("your own plant, with any column names")
     listed = "show the columns and propose a map; writes nothing"
-    other.add_argument("--list", action="store_true", help=listed)
-    add_options(other, "--plant", help="plant that was recorded")
+    mapping.add_argument("--list", action="store_true", help=listed)
+    add_options(mapping, "--plant", help="plant that was recorded")
     add_options(
-        other,
+        mapping,
         "--map",
         help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'; for a "
         "bag: output=/camera/temperature:temperature",
     )
-    add_options(other, "--map-file")
-    add_options(other, "--period", help="sampling period, if not that of the rows")
+    add_options(mapping, "--map-file")
+    add_options(mapping, "--period", help="sampling period, if not that of the rows")
     longest = "longest gap to interpolate across (default: three rows)"
-    other.add_argument("--bridge", type=float, metavar="S", help=longest)
+    mapping.add_argument("--bridge", type=float, metavar="S", help=longest)
     gaps = "what to do with longer gaps: refuse them (default), or split the session there, so that no "
     gaps += "window reaches across"
-    other.add_argument("--gaps", choices=("refuse", "split"), default="refuse", help=gaps)
+    mapping.add_argument("--gaps", choices=("refuse", "split"), default="refuse", help=gaps)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -81,20 +81,20 @@ def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: A
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-    given = _given(options)
+    signal_map = _given(options)
     limits = {"longest": options.bridge, "gaps": options.gaps}
-    if not given.plant:
+    if not signal_map.plant:
         msg = "import: the plant is missing; give --plant NAME, --plant FILE.py, or plant: in the map file"
         raise TwinmatchError(msg)
-    plant = find_plant(given.plant)
+    plant = find_plant(signal_map.plant)
     if is_bag(options.recording):
         with Progress("reading") as progress:
-            imported = map_bag(options.recording, given, plant, progress=progress.advance, **limits)
+            imported = map_bag(options.recording, signal_map, plant, progress=progress.advance, **limits)
     else:
         with Progress("reading") as progress:
             table = read_table(options.recording, progress.advance)
             progress.show(f"mapping {len(table.lines)} rows", 0, 0)
-        imported = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
+        imported = map_samples(table, with_plant_names(table, plant, signal_map), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in imported.sources.items())
     record = {"plant": plant.name, "source": options.recording.name, "map": columns}
     record["reference"] = "recorded" if imported.has_reference else NO_REFERENCE

@@ -52,8 +52,8 @@ def run(options: argparse.Namespace) -> int:
         options.twin_config = shipped(f"config/{twin}")
     session = session_to_record(options)
     virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
-    passed = ("twin_config", "candidates", "plant", "port", "keep_driving")
-    asked = {name: getattr(options, name) for name in passed}
+    passed_options = ("twin_config", "candidates", "plant", "port", "keep_driving")
+    asked = {name: getattr(options, name) for name in passed_options}
     config = options.config or shipped(f"config/{rig}")
     plan = LivePlan(config=config, session=session, virtual=virtual if options.virtual else None, **asked)
     live = Live(plan)

@@ -6,7 +6,7 @@ import argparse
 
 from twinmatch.cli.shared import add_options, check_writable, console_for, write_json
 from twinmatch.errors import TwinmatchError
-from twinmatch.memory import Memory, default_files, in_order
+from twinmatch.memory import Lesson, Memory, default_files, in_order
 from twinmatch.memory.store import MOST
 from twinmatch.plants import find_plant, plant_named
 from twinmatch.showing.memory import RememberedRig, remembered
@@ -27,18 +27,20 @@ def run(options: argparse.Namespace) -> int:
         find_plant(options.plant)
     files = [options.memory] if options.memory else default_files()
     memories = [Memory(file) for file in files]
-    lessons = in_order(lesson for each in memories for lesson in each.lessons(rig=options.rig))
-    rigs = [
-        remembered([one for one in lessons if (one.plant, one.rig) == key], plant_named(key[0]), key[1])
-        for key in dict.fromkeys((one.plant, one.rig) for one in lessons)
-    ]
+    lessons = in_order(lesson for memory in memories for lesson in memory.lessons(rig=options.rig))
+    lessons_by_rig: dict[tuple[str, str], list[Lesson]] = {}
+    for lesson in lessons:
+        lessons_by_rig.setdefault((lesson.plant, lesson.rig), []).append(lesson)
+    rigs = []
+    for (plant, rig_name), of_rig in lessons_by_rig.items():
+        rigs.append(remembered(of_rig, plant_named(plant), rig_name))
     for rig in rigs:
         _print(rig)
     if not rigs:
         print("Nothing is remembered yet; add sessions with twinmatch remember SESSION")
-    for each in memories:
-        if unread := each.unread(options.rig):
-            print(f"{each.path}: the newest {MOST} lessons are read; {unread} older ones are not")
+    for memory in memories:
+        if unread := memory.unread(options.rig):
+            print(f"{memory.path}: the newest {MOST} lessons are read; {unread} older ones are not")
     write_json(options.json, lambda: [rig.document() for rig in rigs])
     if options.figure is not None:
         if len(rigs) != 1:

@@ -6,7 +6,6 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import Progress, add_options, positive_period
@@ -23,8 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guess = "which column is which signal, as for twinmatch import; without it a guess is made"
     add_options(parser, "--map", help=guess)
     add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
-    here: dict[str, Any] = {"type": Path, "default": Path(), "metavar": "DIR"}
-    parser.add_argument("-o", "--output", **here, help="folder to write into (default: here)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="folder to write into (default: here)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,8 +39,8 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: the table cannot be used, or a file already exists.
     """
 
-    held = _proposal(options)
-    files = files_of(options.name, held)
+    proposal = _proposal(options)
+    files = files_of(options.name, proposal)
     folder: Path = options.output
     if not folder.is_dir():
         raise TwinmatchError(f"new-plant: the folder {folder} does not exist; create it first")
@@ -47,30 +52,30 @@ def run(options: argparse.Namespace) -> int:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
-    _say(options, [str(folder / name) for name in files], " --gaps split" if held.split else "")
+    _say(options, [str(folder / name) for name in files], " --gaps split" if proposal.split else "")
     return 0
 
 
 def _proposal(options: argparse.Namespace) -> Proposal:
     period = positive_period(options, "new-plant")
-    given = parse_map(options.map)
+    signal_map = parse_map(options.map)
     if options.table is None:
-        if given.sources:
+        if signal_map.sources:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
         return example()
     with Progress("reading") as progress:
         table = read_table(options.table, progress.advance)
-    if not given.sources:
+    if not signal_map.sources:
         columns = columns_of(table)
-        given = SignalMap(proposed(columns))
-        words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
+        signal_map = SignalMap(proposed(columns))
+        words = shlex.join(f"{signal}={source.text}" for signal, source in signal_map.sources.items())
         print(f"Columns guessed as: --map {words}")
-        if seen_by_controller(columns, given.sources):
+        if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
-    return propose(table, replace(given, period=period))
+    return propose(table, replace(signal_map, period=period))
 
 
-def _say(options: argparse.Namespace, files: list[str], more: str) -> None:
+def _say(options: argparse.Namespace, files: list[str], further_options: str) -> None:
     plant, test, config, *mapped = map(shlex.quote, files)
     session = f"{options.name}_session"
     print(f"Written: {', '.join(files)}")
@@ -80,7 +85,8 @@ def _say(options: argparse.Namespace, files: list[str], more: str) -> None:
     print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
     if mapped:
         table = shlex.quote(str(options.table))
-        print(f"  4. twinmatch import {table} --map-file {mapped[0]} --plant {plant}{more} -o {session}")
+        arguments = f"{table} --map-file {mapped[0]} --plant {plant}{further_options}"
+        print(f"  4. twinmatch import {arguments} -o {session}")
     else:
         print(f"  4. twinmatch import LOG.csv --plant {plant} --map time=… output=… input=… -o {session}")
     print(f"  5. twinmatch replay {session} --plant {plant}        # or --config {config}")

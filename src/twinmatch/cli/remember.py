@@ -50,8 +50,8 @@ def _remember(path: Path, options: argparse.Namespace) -> str:
         terms = terms_from_files(session, options.config)
         plant = terms.settings.plant
         memory = Memory(options.memory or default_file(plant.name, options.rig))
-        known = current_lessons(memory.lessons(plant.name, options.rig), plant)
-        if digest_of(session.samples) in {one.session for one in known}:
+        current = current_lessons(memory.lessons(plant.name, options.rig), plant)
+        if digest_of(session.samples) in {lesson.session for lesson in current}:
             return f"{session.name}: remembered already"
         lessons = learn(session, terms, options.rig, progress.advance)
     say_missing(session.name, session.missing)

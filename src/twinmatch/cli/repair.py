@@ -15,11 +15,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Repair; returns the exit code."""
     repaired = repair_session(options.session)
-    held = f"{repaired.messages} messages over {repaired.duration:.1f} s"
+    contents = f"{repaired.messages} messages over {repaired.duration:.1f} s"
     if not repaired.faults:
-        print(f"{options.session}: complete, {held}; nothing to repair")
+        print(f"{options.session}: complete, {contents}; nothing to repair")
         return 0
-    print(f"{options.session}: repaired ({'; '.join(repaired.faults)}); {held} were saved")
+    print(f"{options.session}: repaired ({'; '.join(repaired.faults)}); {contents} were saved")
     if repaired.original is not None:
         print(f"The file was damaged before its end, so the original was kept: {repaired.original}")
     return 0

@@ -29,10 +29,21 @@ from twinmatch.plants import plant_named
 from twinmatch.sessions import Session
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM
 from twinmatch.showing.lines import Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format, percent, shown_inputs, shown_outputs
+from twinmatch.showing.quantities import (
+    ParameterFormat,
+    ShownSignal,
+    number,
+    parameter_format,
+    percent,
+    shown_inputs,
+    shown_outputs,
+)
 from twinmatch.showing.summary import closing_lines, document
 from twinmatch.signals import Sample, point_text
 from twinmatch.twin import Outcome, Twin
+
+_Column = tuple[str, Callable[[dict[str, Any]], str]]
+"""Name of a column, and its text from the row of a candidate."""
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -89,7 +100,7 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
 @contextmanager
 def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin, Sample, Outcome], None]]]:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
-    done = 0
+    samples_judged = 0
     total = len(session.samples)
     redrawn = redraws(sys.stdout)
     view: Screen | Lines = Lines(session.period)
@@ -100,15 +111,15 @@ def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin,
         view = Screen(Console(), session.name, session.period, total)
 
     def advance(_twin: Twin, _sample: Sample, outcome: Outcome) -> None:
-        nonlocal done
-        done += 1
+        nonlocal samples_judged
+        samples_judged += 1
         if outcome.match is not None:
             view.take_match(outcome.match)
         for verdict in outcome.verdicts:
             view.take_verdict(verdict)
-        view.advance(done)
-        if bar is not None and done % 50 == 0:
-            bar.advance(done, total)
+        view.advance(samples_judged)
+        if bar is not None and samples_judged % 50 == 0:
+            bar.advance(samples_judged, total)
 
     bar = None if redrawn else Progress()
     with bar or nullcontext():
@@ -167,34 +178,44 @@ def _table(archive: Archive) -> Table:
 
     first = archive.candidates[0]
     plant = plant_named(first["plant"])
-    matched = [parameter_format(plant, name) for name in plant.structures[first["structure"]].free]
-    columns: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
+    columns: list[_Column] = [
         ("session", lambda row: row["session"]),
         ("at", lambda row: point_text(row["operating_point"])),
         ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
-        *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
-        *(_OF_MODELS if plant.single else ()),
-        *((c.name, lambda row, c=c: c.text(row)) for c in (GAP_SUM, GAP_NOW)),
-        *(
-            (f"fit {kind if plant.single else signal}", lambda row, kind=kind, k=k: _fit(row["fit"][kind], k))
-            for kind, signals in (("y", shown_outputs(plant)), ("u", shown_inputs(plant)))
-            for k, signal in enumerate(signals)
-            if plant.single or any(_fit(row["fit"][kind], k) != number(None) for row in archive.candidates)
-        ),
     ]
+    for name in plant.structures[first["structure"]].free:
+        columns.append(_parameter_column(parameter_format(plant, name)))
+    if plant.single:
+        columns += _OF_MODELS
+    columns += [(GAP_SUM.name, GAP_SUM.text), (GAP_NOW.name, GAP_NOW.text)]
+    for kind, signals in (("y", shown_outputs(plant)), ("u", shown_inputs(plant))):
+        for k, signal in enumerate(signals):
+            name, fit_text = _fit_column(kind, k, kind if plant.single else signal)
+            if plant.single or any(fit_text(row) != number(None) for row in archive.candidates):
+                columns.append((name, fit_text))
     shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
     for name, _ in columns:
         side: Any = "left" if name in {"session", "candidate"} else "right"
         shown.add_column(name, justify=side, no_wrap=name != "session", overflow="fold")
     before = ""
     for row in archive.candidates:
-        session, *others = (text(row) for _, text in columns)
-        shown.add_row("" if session == before else session, *others, style="bold" if row["nominal"] else "")
+        session, *texts = (text(row) for _, text in columns)
+        shown.add_row("" if session == before else session, *texts, style="bold" if row["nominal"] else "")
         before = session
     return shown
 
 
-_OF_MODELS: Final[tuple[tuple[str, Callable[[dict[str, Any]], str]], ...]] = (
+def _parameter_column(parameter: ParameterFormat) -> _Column:
+    """The value of a parameter."""
+    return parameter.label, lambda row: parameter.text(row["parameters"].get(parameter.name, math.nan))
+
+
+def _fit_column(kind: str, k: int, signal: str | ShownSignal) -> _Column:
+    """The fit of output `k` (kind y) or input `k` (kind u)."""
+    return f"fit {signal}", lambda row: _fit(row["fit"][kind], k)
+
+
+_OF_MODELS: Final[tuple[_Column, ...]] = (
     ("order", lambda row: row["chosen_order"]),
     (GAIN.name, lambda row: GAIN.text(row["criteria"])),
 )

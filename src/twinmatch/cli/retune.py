@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
             raise ControllerError(f"retune: {ground.session.name}: its controller is not a known PID")
         with Progress() as progress:
             twins = members_from(ground, watch=progress.advance)
-        found = retune(
+        retuned = retune(
             twins,
             gains,
             float(ground.level[0]),
@@ -62,12 +62,12 @@ def run(options: argparse.Namespace) -> int:
             most_change=options.most_change,
         )
         references = usual_profile(ground.plant, ground.level, ground.holding.samples)
-        question = ControllerQuestion(found.after, references, ground.level, ground.holding)
+        question = ControllerQuestion(retuned.after, references, ground.level, ground.holding)
         with Progress("trying") as progress:
             answer = try_controller(twins, question, progress.advance)
-    for line in (*retuned_words(found, answer), *(f"  {line}" for line in answer_words(answer))):
+    for line in (*retuned_words(retuned, answer), *(f"  {line}" for line in answer_words(answer))):
         print(line)
-    write_json(options.json, lambda: pid_document(found.after))
+    write_json(options.json, lambda: pid_document(retuned.after))
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415

@@ -29,11 +29,11 @@ EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
 
 
-def exit_code(done: int, skipped: int) -> int:
+def exit_code(used: int, skipped: int) -> int:
     """The exit code of a command for several sessions."""
     if not skipped:
         return 0
-    return EXIT_PARTLY if done else EXIT_USER_ERROR
+    return EXIT_PARTLY if used else EXIT_USER_ERROR
 
 
 def speed(text: str) -> float:
@@ -113,14 +113,14 @@ def open_shown(path: Path, plant: str | None = None) -> Session:
 
 def say_missing(name: str, missing: Sequence[str]) -> None:
     """Say on standard error what a session lacks, or what of it may be wrong."""
-    for what in missing:
-        print(f"twinmatch: session {name} is not complete: {what}", file=sys.stderr)
+    for lack in missing:
+        print(f"twinmatch: session {name} is not complete: {lack}", file=sys.stderr)
 
 
 def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     """Arguments of whatever reads a session and judges it: the options of `TERMS`, and its progress."""
-    given = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
-    return {**given, "watch": progress.advance, "progress": partial(progress.show, "reading")}
+    arguments = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
+    return {**arguments, "watch": progress.advance, "progress": partial(progress.show, "reading")}
 
 
 def column_map(options: argparse.Namespace) -> SignalMap:
@@ -148,8 +148,8 @@ def positive_period(options: argparse.Namespace, command: str) -> float | None:
     return period
 
 
-def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
-    """A parser of positive finite numbers; the error says that the text is not `what`."""
+def positive(kind: Callable[[str], float], expected: str) -> Callable[[str], float]:
+    """A parser of positive finite numbers; the error says that the text is not what is `expected`."""
 
     def parse(text: str) -> float:
         try:
@@ -157,7 +157,7 @@ def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
         except ValueError:
             value = 0.0
         if not 0.0 < value < float("inf"):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}")
         return value
 
     return parse
@@ -175,8 +175,8 @@ def check_writable(*outputs: Path | None, example: str = "") -> None:
         if not output.absolute().parent.is_dir():
             raise TwinmatchError(f"{output}: the folder {output.parent} does not exist; create it first")
         if output.is_dir():
-            such = f", such as {output / example}" if example else ""
-            raise TwinmatchError(f"{output}: is a folder; give the file to write{such}")
+            hint = f", such as {output / example}" if example else ""
+            raise TwinmatchError(f"{output}: is a folder; give the file to write{hint}")
 
 
 def write_json(path: Path | None, content: Callable[[], Any]) -> None:
@@ -222,10 +222,10 @@ class Progress:
     def __init__(self, doing: str = "judging") -> None:
         """Set the label of the bar."""
         self._doing = doing
-        self._said_at = time.monotonic()
+        self._printed_at = time.monotonic()
         self._bar: progress.Progress | None = None
         self._shown = False
-        self._at = 0, 0
+        self._progress = 0, 0
 
     def __enter__(self) -> Progress:
         from twinmatch.compiled import told  # noqa: PLC0415 — slow
@@ -241,16 +241,16 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def _compile(self, what: str) -> None:
-        self.show(f"{self._doing}, compiling {what} once on this machine", *self._at)
+    def _compile(self, compiled: str) -> None:
+        self.show(f"{self._doing}, compiling {compiled} once on this machine", *self._progress)
 
-    def advance(self, done: int, total: int) -> None:
-        """Show that `done` of `total` are done."""
-        self.show(self._doing, done, total)
+    def advance(self, parts_done: int, total: int) -> None:
+        """Show that `parts_done` of `total` are done."""
+        self.show(self._doing, parts_done, total)
 
-    def show(self, doing: str, done: int, total: int) -> None:
-        """Show what is being done, and that `done` of `total` parts of it are; 0 parts: nobody knows."""
-        self._at = done, total
+    def show(self, doing: str, parts_done: int, total: int) -> None:
+        """Show what is being done, and that `parts_done` of its `total` parts are; 0 parts: nobody knows."""
+        self._progress = parts_done, total
         if self._bar is None and self._shown:
             from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
 
@@ -260,21 +260,23 @@ class Progress:
             self._task = self._bar.add_task(doing, total=None)
             self._bar.start()
         if self._bar is not None:
-            self._bar.update(self._task, description=doing, completed=done, total=total or None)
-        elif not self._shown and time.monotonic() - self._said_at >= self.SILENCE:
-            self._said_at = time.monotonic()
-            share = f", {done / total:.0%} done" if total else ""
+            self._bar.update(self._task, description=doing, completed=parts_done, total=total or None)
+        elif not self._shown and time.monotonic() - self._printed_at >= self.SILENCE:
+            self._printed_at = time.monotonic()
+            share = f", {parts_done / total:.0%} done" if total else ""
             print(f"twinmatch: {doing}{share}", file=sys.stderr, flush=True)
 
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
     """Add the options for the address, the port (default `port`), the names and the namespace of a server."""
-    here = "serve on this address; any but 127.0.0.1 is open to other machines"
-    parser.add_argument("--address", default="127.0.0.1", help=here)
-    free = f"TCP port (default: {port}); 0: any free port"
-    parser.add_argument("--port", type=int, default=port, help=free)
-    known = "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
-    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=known)
+    address = "serve on this address; any but 127.0.0.1 is open to other machines"
+    parser.add_argument("--address", default="127.0.0.1", help=address)
+    port_words = f"TCP port (default: {port}); 0: any free port"
+    parser.add_argument("--port", type=int, default=port, help=port_words)
+    host_help = (
+        "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
+    )
+    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=host_help)
     parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
 
 
@@ -293,8 +295,8 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
         raise ServingError(f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'")
     if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
         raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
-    given = {name: getattr(options, name) for name in ("address", "port", "hosts")}
-    words = node_words(command, {**given, **parameters})
+    shared_options = {name: getattr(options, name) for name in ("address", "port", "hosts")}
+    words = node_words(command, {**shared_options, **parameters})
     return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
 
 

@@ -40,9 +40,9 @@ def started(options: argparse.Namespace) -> Iterator[None]:
     print(f"memory {start.sentence}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="twinmatch-start-") as folder:
         if start.candidates:
-            given = read_candidates(options.candidates) if options.candidates else []
+            candidates = read_candidates(options.candidates) if options.candidates else []
             options.candidates = Path(folder) / "candidates.yaml"
-            options.candidates.write_text(candidates_text([*given, *start.candidates]), "utf-8")
+            options.candidates.write_text(candidates_text([*candidates, *start.candidates]), "utf-8")
         yield
 
 
@@ -73,5 +73,5 @@ def remember_recorded(options: argparse.Namespace, sessions: Sequence[Path]) -> 
         except TwinmatchError as error:
             print(f"twinmatch: {path} is not remembered: {error}", file=sys.stderr)
         else:
-            what = f"{len(lessons)} structures" if lessons else "it teaches nothing"
-            print(f"remembered {path.name}: {what}", file=sys.stderr)
+            outcome = f"{len(lessons)} structures" if lessons else "it teaches nothing"
+            print(f"remembered {path.name}: {outcome}", file=sys.stderr)

@@ -36,6 +36,7 @@ from twinmatch.offline.controllers import (
 from twinmatch.offline.outlooks import RECORDED, planned_rows
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.track_record import LawThatRan
+from twinmatch.sessions import Session
 from twinmatch.showing.controllers import answer_document, answer_words, comparison_document, comparison_words
 from twinmatch.signals import FloatArray
 
@@ -86,29 +87,26 @@ def run(options: argparse.Namespace) -> int:
         else:
             question = ran.question(ground.holding, options.draws)
             apart = ran.ground.session
-        earlier: tuple[TriedTwin, ...] = ()
-        if options.memory is not None:
-            try:
-                earlier = remembered(ground, options.memory, options.rig or None, apart=apart)
-                Memory(options.memory).comparisons(ground.plant.name, options.rig or None)
-            except MemoryFaultError as error:
-                print(f"twinmatch: {error}; the law is tried without a memory", file=sys.stderr)
-                options.memory = None
-        tried = [each.parameters for each in earlier]  # a judgement that started from them has them, too
-        members = [*(each for each in _members(opened) if each.parameters not in tried), *earlier]
+        from_memory = _twins_from_memory(ground, apart, options)
+        # A judgement that started from the memory has its twins, too.
+        remembered_parameters = [twin.parameters for twin in from_memory]
+        new = [twin for twin in _members(opened) if twin.parameters not in remembered_parameters]
+        members = [*new, *from_memory]
         begun = _begun(members, options) if ran is None else ran.begun(members)
         with Progress("trying") as progress:
             answer = try_controller(begun, question, progress.advance)
-    missing = tuple(f"{each.session.name}: {what}" for each in opened for what in each.session.missing)
-    answer = replace(answer, notes=missing + answer.notes + ground.unvisited(question.references))
-    found = None if ran is None else ran.comparison(answer, opened, options.rig)
-    if found is None and options.memory is not None:
+    notes = _missing(opened) + answer.notes + ground.unvisited(question.references)
+    answer = replace(answer, notes=notes)
+    comparison = None if ran is None else ran.comparison(answer, opened, options.rig)
+    if comparison is None and options.memory is not None:
         answer = widened(answer, Memory(options.memory).comparisons(ground.plant.name, options.rig or None))
-    first, *rest = answer_words(answer)
-    print(f"{options.loop.name}: {first}")
-    for line in ([] if found is None else [comparison_words(found), *_kept(ran, found, options)]) + rest:
+    decision, *details = answer_words(answer)
+    print(f"{options.loop.name}: {decision}")
+    if comparison is not None:
+        details = [comparison_words(comparison), *_kept(ran, comparison, options), *details]
+    for line in details:
         print(f"  {line}")
-    record = {} if found is None else {"comparison": comparison_document(found)}
+    record = {} if comparison is None else {"comparison": comparison_document(comparison)}
     write_json(options.json, lambda: answer_document(answer) | record)
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
@@ -116,6 +114,32 @@ def run(options: argparse.Namespace) -> int:
 
         save(draw_answer(answer), options.figure)
     return EXITS[answer.decision]
+
+
+def _twins_from_memory(
+    ground: Ground, apart: Session | None, options: argparse.Namespace
+) -> tuple[TriedTwin, ...]:
+    """The twins that a memory gives, not those learned from the session `apart`; without a memory, or with
+    one that cannot be read, there are none."""
+    if options.memory is None:
+        return ()
+    try:
+        twins = remembered(ground, options.memory, options.rig or None, apart=apart)
+        Memory(options.memory).comparisons(ground.plant.name, options.rig or None)
+    except MemoryFaultError as error:
+        print(f"twinmatch: {error}; the law is tried without a memory", file=sys.stderr)
+        options.memory = None
+        return ()
+    return twins
+
+
+def _missing(opened: Sequence[Ground]) -> tuple[str, ...]:
+    """What the sessions lack, each with the name of its session."""
+    notes = []
+    for ground in opened:
+        for lack in ground.session.missing:
+            notes.append(f"{ground.session.name}: {lack}")
+    return tuple(notes)
 
 
 def _opened(path: Path, options: argparse.Namespace) -> Ground:
@@ -133,7 +157,7 @@ def _asked(options: argparse.Namespace, ground: Ground, law: Law) -> ControllerQ
 def _ran(opened: Sequence[Ground], law: Law, options: argparse.Namespace) -> LawThatRan:
     """The session in which the law ran; not one of those that it is predicted from."""
     came = _opened(options.came, options)
-    digests = [digest_of(each.session.samples) for each in opened]
+    digests = [digest_of(ground.session.samples) for ground in opened]
     _last([*opened, came])
     if digest_of(came.session.samples) in digests:
         raise ControllerError(f"--came {options.came}: is a session that it is predicted from; give another")
@@ -142,13 +166,13 @@ def _ran(opened: Sequence[Ground], law: Law, options: argparse.Namespace) -> Law
     return LawThatRan(came, law, options.loop.name)
 
 
-def _kept(ran: LawThatRan | None, found: LawComparison, options: argparse.Namespace) -> list[str]:
+def _kept(ran: LawThatRan | None, comparison: LawComparison, options: argparse.Namespace) -> list[str]:
     """Keep a comparison in the memory that was named, and say so; not that of a session with a fault."""
     if options.memory is None:
         return []
     if ran is not None and ran.faulty:
-        return [f"not kept: {found.name} has a fault, for which the law is not to blame"]
-    new = Memory(options.memory).add_comparison(found)
+        return [f"not kept: {comparison.name} has a fault, for which the law is not to blame"]
+    new = Memory(options.memory).add_comparison(comparison)
     return [f"kept in {options.memory}" if new else f"kept in {options.memory} already: the first one stays"]
 
 
@@ -161,10 +185,10 @@ def _around(options: argparse.Namespace, ground: Ground) -> FloatArray:
 def _last(opened: Sequence[Ground]) -> Ground:
     """The last session, whose law and end count; all have to be of one plant and period."""
     last = opened[-1]
-    for other in opened[:-1]:
-        if (other.plant, other.session.period) != (last.plant, last.session.period):
+    for ground in opened[:-1]:
+        if (ground.plant, ground.session.period) != (last.plant, last.session.period):
             raise ControllerError(
-                f"session {other.session.name}: is of another plant or period than {last.session.name}; try "
+                f"session {ground.session.name}: is of another plant or period than {last.session.name}; try "
                 "them one by one"
             )
     return last
@@ -175,15 +199,15 @@ def _members(opened: Sequence[Ground]) -> list[TriedTwin]:
     members: list[TriedTwin] = []
     for ground in opened:
         with Progress() as progress:
-            found = members_from(ground, watch=progress.advance)
+            twins = members_from(ground, watch=progress.advance)
         before = f"{ground.session.name}: " if len(opened) > 1 else ""
-        members += [replace(member, name=before + member.name) for member in found]
+        members += [replace(member, name=before + member.name) for member in twins]
     return members
 
 
 def _begun(members: Sequence[TriedTwin], options: argparse.Namespace) -> list[TriedTwin]:
     """The twins with the states in which courses begin."""
-    return [replace(each, states=None) if options.begin == "rest" else each for each in members]
+    return [replace(member, states=None) if options.begin == "rest" else member for member in members]
 
 
 def _profile(options: argparse.Namespace, ground: Ground, level: FloatArray) -> FloatArray:

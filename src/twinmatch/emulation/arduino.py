@@ -17,8 +17,9 @@ import threading
 import time
 import tty
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
@@ -52,13 +53,25 @@ HOLD_PWM = 220
 """Largest magnitude of the PWM that may stay for ever; the budget counts what is above it."""
 FULL_DRIVE_SECONDS = 480
 """Time at full drive that spends the whole budget, s."""
-_WATCHDOG_MS = 500
-_REVERSAL_MS = 2
-_SETTLE_MS = 10
-_DEBOUNCE_MS = 5
 _WATCHDOG_RESET = 0x08  # WDRF of MCUSR
 _POWER_ON = 0x01  # PORF of MCUSR
-_AWAY_MS = 20  # time that a restarting board is off the bus
+
+
+@dataclass(frozen=True)
+class BoardTimes:
+    """Times of the firmware and of its board, ms."""
+
+    watchdog: int = 500
+    """Time without a sign of life after which the board restarts."""
+    reversal: int = 2
+    """Time without drive before its direction changes."""
+    settle: int = 10
+    debounce: int = 5
+    away: int = 20
+    """Time that a restarting board is off the bus."""
+
+
+_TIMES: Final = BoardTimes()
 
 
 class ArduinoError(TwinmatchError):
@@ -222,7 +235,7 @@ class ArduinoModel:
 
     def _tick_hung(self) -> bytes:
         self._hung_ms += 1
-        if self._hung_ms > _WATCHDOG_MS:
+        if self._hung_ms > _TIMES.watchdog:
             self.restarts = (self.restarts + 1) % SEQUENCES
             self._boot(_WATCHDOG_RESET)
         return b""
@@ -240,7 +253,7 @@ class ArduinoModel:
             self._settle -= 1
         else:
             self._low = self._low + 1 if self.fault else 0
-            if self._low >= _DEBOUNCE_MS:
+            if self._low >= _TIMES.debounce:
                 self._latch(Flags.DRIVER)
 
     def _watch_budget(self) -> None:
@@ -281,15 +294,15 @@ class ArduinoModel:
             return [self._status(request, Flags.DUPLICATE)]
         if request.pwm and (request.pwm > 0) != self._heat:
             self.level = 0
-            self._turn = _REVERSAL_MS, request
+            self._turn = _TIMES.reversal, request
             return []
         return [self._apply(request)]
 
     def _finish_turn(self) -> list[Reply]:
         assert self._turn is not None  # noqa: S101  (asked by the only caller)
-        left, request = self._turn
-        if left > 1:
-            self._turn = left - 1, request
+        milliseconds, request = self._turn
+        if milliseconds > 1:
+            self._turn = milliseconds - 1, request
             return []
         self._turn = None
         self._heat = request.pwm > 0
@@ -300,7 +313,7 @@ class ArduinoModel:
             return Refusal(request.sequence, Code.LATCHED)
         self._remaining = DEADLINE_MS
         if not self.enabled:
-            self._settle = _SETTLE_MS
+            self._settle = _TIMES.settle
             self._low = 0
             self._flags |= Flags.ENABLED
         self.level = request.pwm
@@ -390,7 +403,7 @@ class StandInArduino(EmulatedBoard):
             self._away_ms = max(0, self._away_ms - 1)
             if self.model.restarts != restarts and self._line.plugged:
                 self.unplug()
-                self._away_ms = _AWAY_MS
+                self._away_ms = _TIMES.away
             elif self._away_ms == 1:
                 self.plug()
             elif reply:

@@ -56,9 +56,9 @@ def build_virtual_board(project: Path, build: Path) -> VirtualTools:
         raise ArduinoError("virtual board: libsimavr is missing; install libsimavr-dev and libelf-dev")
     for folder in ("firmware", "virtual_board"):
         command = ["make", "-s", "-C", str(project / folder), f"BUILD={(build / folder).resolve()}"]
-        made = subprocess.run(command, capture_output=True, text=True, check=False)
-        if made.returncode:
-            raise ArduinoError(f"virtual board: {folder} does not compile:\n{made.stderr[-2000:]}")
+        make = subprocess.run(command, capture_output=True, text=True, check=False)
+        if make.returncode:
+            raise ArduinoError(f"virtual board: {folder} does not compile:\n{make.stderr[-2000:]}")
     return VirtualTools(
         build / "virtual_board" / "virtual_board", build / "firmware" / "twinmatch_leonardo.elf"
     )
@@ -166,8 +166,8 @@ class VirtualArduino(EmulatedBoard):
         words = self._process.stdout.readline().split()
         if not words:
             self._remarks.seek(0)
-            said = self._remarks.read().decode(errors="replace").strip()[-500:]
-            raise self._error(f"its process has ended: {said}")
+            remarks = self._remarks.read().decode(errors="replace").strip()[-500:]
+            raise self._error(f"its process has ended: {remarks}")
         if words[0] != b"state":
             raise self._error("it refused a command; rebuild it from this version's sources")
         return _State(*map(int, words[1:]))

@@ -19,17 +19,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 
 _MAX_NUMBER = 32
-_MAX_HEARD = 256
-"""Longest line, bytes; who sends a longer one is dropped."""
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
-_FIRST_PAUSE = 0.1
-_MAX_PAUSE = 2.0
 
 
 class ClockError(TwinmatchError):
@@ -84,6 +81,9 @@ class _ClockReader:
 class LineServer:
     """A listening socket, without a thread, whose clients send lines: its owner's loop calls it."""
 
+    _MAX_HEARD: Final = 256
+    """Longest line, bytes; who sends a longer one is dropped."""
+
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
         self._listener.setblocking(False)
@@ -105,14 +105,14 @@ class LineServer:
             if client is self._listener:
                 continue
             try:
-                said = client.recv(4096)
+                received = client.recv(4096)
             except OSError:
-                said = b""
-            *lines, rest = (self._clients[client] + said).split(b"\n")
-            if not said or max(map(len, (*lines, rest))) > _MAX_HEARD:
+                received = b""
+            *lines, unfinished = (self._clients[client] + received).split(b"\n")
+            if not received or max(map(len, (*lines, unfinished))) > self._MAX_HEARD:
                 self._drop(client)
                 continue
-            self._clients[client] = rest
+            self._clients[client] = unfinished
             for line in lines:
                 yield client, line
 
@@ -187,25 +187,28 @@ class ClockServer(LineServer):
 
     def limit(self, stamp: int) -> float:
         """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
-        now = time.monotonic()
+        wall_now = time.monotonic()
         lowest = math.inf
         for reader in self._readers.values():
-            if reader.until is None or (reader.until <= stamp and not reader.awaits(now)):
+            if reader.until is None or (reader.until <= stamp and not reader.awaits(wall_now)):
                 continue
             lowest = min(lowest, reader.until)
         return lowest
 
     def lacks(self, image: int) -> bool:
         """Whether a reader that takes images has not taken the one of this time, ns, yet."""
-        now = time.monotonic()
+        wall_now = time.monotonic()
         return any(
-            reader.image is not None and reader.image < image and reader.awaits(now)
+            reader.image is not None and reader.image < image and reader.awaits(wall_now)
             for reader in self._readers.values()
         )
 
 
 class ClockClient(Background):
     """A reader's side: a thread that calls `tell` with the newest time, and reconnects when necessary."""
+
+    _FIRST_PAUSE: Final = 0.1
+    _MAX_PAUSE: Final = 2.0
 
     def __init__(self, address: tuple[str, int], tell: Callable[[int], None]) -> None:
         super().__init__("plant clock", self._keep_following, 3.0)
@@ -214,43 +217,43 @@ class ClockClient(Background):
         """Why there is no connection; empty while there is one."""
         self._tell = tell
         self._connection: socket.socket | None = None
-        self._said: dict[str, int] = {}
+        self._newest_stamps: dict[str, int] = {}
         self._lock = threading.Lock()
 
     def say(self, kind: str, stamp: int) -> None:
         """Tell the rig one of the words above, and a plant time, ns; repeated after a reconnection."""
         with self._lock:
-            self._said[kind] = stamp
+            self._newest_stamps[kind] = stamp
             self._send(kind)
 
     def _send(self, kind: str) -> None:
         if self._connection is not None:
             with contextlib.suppress(OSError):
-                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._said[kind]))
+                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._newest_stamps[kind]))
 
     def _keep_following(self) -> None:
-        pause = _FIRST_PAUSE
+        pause = self._FIRST_PAUSE
         while not self.ending.is_set():
             try:
                 with socket.create_connection(self.address, timeout=1.0) as connection:
                     # Or a word would wait 40 ms for the acknowledgement of the one before.
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     self.error = ""
-                    pause = _FIRST_PAUSE
+                    pause = self._FIRST_PAUSE
                     with self._lock:
                         self._connection = connection
-                        for kind in self._said:
+                        for kind in self._newest_stamps:
                             self._send(kind)
                     self._follow(connection)
             except (OSError, ClockError) as error:
                 self.error = str(error)
             self._connection = None
             self.ending.wait(pause)
-            pause = min(2 * pause, _MAX_PAUSE)
+            pause = min(2 * pause, self._MAX_PAUSE)
 
     def _follow(self, connection: socket.socket) -> None:
         connection.settimeout(0.2)
-        rest = b""
+        unfinished = b""
         while not self.ending.is_set():
             try:
                 piece = connection.recv(4096)
@@ -258,8 +261,8 @@ class ClockClient(Background):
                 continue  # a stopped clock is not an error of the connection
             if not piece:
                 raise ClockError("the virtual rig has ended")
-            *lines, rest = (rest + piece).split(b"\n")
-            if len(rest) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
+            *lines, unfinished = (unfinished + piece).split(b"\n")
+            if len(unfinished) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
                 raise ClockError("the stream is not the clock of a virtual rig; is the address right?")
             if lines:
                 self._tell(int(lines[-1]))

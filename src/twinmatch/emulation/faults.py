@@ -16,6 +16,7 @@ import math
 import socket
 from bisect import insort
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -38,12 +39,21 @@ KINDS: Final = {
     "ambient-step": "the surroundings become 10 °C warmer",
 }
 """Every fault and its effect."""
-_DRIFTS = 0.8
-"""Rate at which the readings of `sensor-drifts` fall, °C/s."""
-_OFFSET = 5.0
-"""What `sensor-offset` adds to the readings, °C."""
-_SLIPS = 20.0
-"""Time constant of `sensor-slips`, s."""
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """How far the faults of sensors take a reading from the temperature."""
+
+    drift: float = 0.8
+    """Rate at which the readings of `sensor-drifts` fall, °C/s."""
+    offset: float = 5.0
+    """What `sensor-offset` adds to the readings, °C."""
+    slip: float = 20.0
+    """Time constant of `sensor-slips`, s."""
+
+
+_ERRORS: Final = SensorErrors()
 _PATIENCE = 5.0
 """Longest wait for the answer to a command, s."""
 
@@ -92,10 +102,10 @@ def parse_now(text: str, now: float) -> RigFault:
 
 
 def _parse_fault(text: str) -> RigFault:
-    kind, at, times = text.strip().partition("@")
+    kind, mark, times = text.strip().partition("@")
     _check_kind(kind)
     start, plus, duration = times.partition("+")
-    if not at:
+    if not mark:
         raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
     return RigFault(kind, _seconds(text, start, 0.0), _duration(text, plus, duration))
 
@@ -148,11 +158,11 @@ class FaultSchedule:
 
     def told(self, true: float, room: float, now: float, number: int = 1) -> float:
         """What the sensor of this number tells of a temperature, °C: it may be off, drift or slip off."""
-        kept = math.exp(-self.lasted("sensor-slips", now, number) / _SLIPS)
-        off = _OFFSET * self.acts("sensor-offset", number) - _DRIFTS * self.lasted(
-            "sensor-drifts", now, number
-        )
-        return room + (true - room) * kept + off
+        contact = math.exp(-self.lasted("sensor-slips", now, number) / _ERRORS.slip)
+        offset = _ERRORS.offset * self.acts("sensor-offset", number)
+        drift = _ERRORS.drift * self.lasted("sensor-drifts", now, number)
+        error = offset - drift
+        return room + (true - room) * contact + error
 
     def add(self, fault: RigFault) -> None:
         """Put a fault on the schedule."""
@@ -235,7 +245,7 @@ def tell(path: str | Path, line: str) -> str:
     except OSError as error:
         msg = f"virtual rig at {path}: {error}; give the address it prints as `control:`"
         raise RigControlError(msg) from error
-    verdict, _, rest = answer.partition(" ")
+    verdict, _, text = answer.partition(" ")
     if verdict != "ok":
-        raise RigControlError(f"virtual rig: {rest or 'no answer'}")
-    return rest
+        raise RigControlError(f"virtual rig: {text or 'no answer'}")
+    return text

@@ -18,22 +18,21 @@ import random
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from twinmatch.emulation.arduino import SerialPort
 from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.plant_time import VirtualPlantTime, VirtualRigError
 
-_LONGEST = 64
-"""Longest command that the firmware accepts, characters."""
-_WARMER = 10.0
-"""Temperature step of `ambient-step`, °C."""
 _NOISE = b"\x00\xff12.3\r\n\xfe"
 """Bytes of another program on the line."""
 
 
 class KitBoard:
     """Answers on a serial port. `heaters` are the set powers, %; `read` returns a sensor's temperature."""
+
+    _LONGEST: Final = 64
+    """Longest command that the firmware accepts, characters."""
 
     VERSION = "TCLab Firmware 1.4.0 Arduino Uno"
 
@@ -68,7 +67,7 @@ class KitBoard:
         if self.hung:
             return
         for byte in heard:
-            if byte in b"\r\n" or len(self._received) >= _LONGEST:
+            if byte in b"\r\n" or len(self._received) >= self._LONGEST:
                 command = self._received
                 self._received = b""
                 if command.strip():
@@ -114,6 +113,9 @@ class VirtualKit(VirtualPlantTime):
     Raises:
         VirtualRigError: the package `tclab` is not installed.
     """
+
+    _WARMER: Final = 10.0
+    """Temperature step of `ambient-step`, °C."""
 
     STANDING = 0.002  # its host waits for answers meanwhile
     EACH: ClassVar = ("drive-lost", "sensor-frozen", "sensor-drifts", "sensor-offset", "sensor-slips")
@@ -179,7 +181,7 @@ class VirtualKit(VirtualPlantTime):
     def turn(self, kind: str, *, on: bool) -> None:
         """Start or end a fault."""
         if kind == "ambient-step":
-            self._model.Ta += _WARMER if on else -_WARMER
+            self._model.Ta += self._WARMER if on else -self._WARMER
         elif kind == "cable-pulled":
             (self.board.unplug if on else self.board.plug)()
         elif kind == "board-hung":

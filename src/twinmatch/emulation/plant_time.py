@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.faults import (
@@ -35,24 +35,6 @@ from twinmatch.errors import TwinmatchError
 
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
-_CLOCK_EVERY = 0.005
-"""Shortest wall time between two updates of the clock, s."""
-_ATTEND_EVERY = 0.01
-"""Interval at which commands are obeyed, wall s."""
-_REPEAT = 0.2
-"""Longest time without an update of the clock, which may get lost, wall s."""
-_BREATH = 0.02
-"""The same where only the board's answer is awaited, which usually comes without the time."""
-_SLICE = 20
-"""Longest slice, ms of plant time."""
-_MAX_LATE = 0.2
-"""Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
-busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
-of one second. At real time nothing is lost, because a real plant does not wait either."""
-_MIN_LATE = 0.005
-"""Wall time always caught up, s: the latency of waking up."""
-_RECENT = 2.0
-"""Wall time over which the achieved speed is averaged, s."""
 _FOLDERS = "twinmatch-rig-"
 """Beginning of the names of private folders."""
 
@@ -100,6 +82,17 @@ class VirtualPlantTime(ABC):
         TwinmatchError: a part cannot be created, or the plant does not have a requested fault.
     """
 
+    _CLOCK_EVERY: Final = 0.005
+    """Shortest wall time between two updates of the clock, s."""
+    _ATTEND_EVERY: Final = 0.01
+    """Interval at which commands are obeyed, wall s."""
+    _REPEAT: Final = 0.2
+    """Longest time without an update of the clock, which may get lost, wall s."""
+    _BREATH: Final = 0.02
+    """Longest time without an update while the board's answer is awaited: it usually comes first, wall s."""
+    _SLICE: Final = 20
+    """Longest slice, ms of plant time."""
+
     board_kind: str
     """Kind of its board, in a word."""
     board_remark: str
@@ -120,17 +113,22 @@ class VirtualPlantTime(ABC):
         self.ms = 0
         """Plant time since the start, ms."""
         self.pace = RigPace(self.settings.speed)
-        self._longest = max(1, round(min(10 * self.settings.speed, _SLICE)))
+        self._longest = max(1, round(min(10 * self.settings.speed, self._SLICE)))
         self.slice = self._longest
         """Plant time of one step, ms."""
         # At real time and in step nobody needs the time more often, and every node of the graph receives it.
-        self._every = _CLOCK_EVERY * (4 if self.settings.speed <= 1 else 10 if self.settings.in_step else 1)
+        if self.settings.speed <= 1:
+            self._every = 4 * self._CLOCK_EVERY
+        elif self.settings.in_step:
+            self._every = 10 * self._CLOCK_EVERY
+        else:
+            self._every = self._CLOCK_EVERY
         self._clock_sent = 0.0
-        self._told = 0
+        self._stamp_sent = 0
         self._attended = 0.0
         with ExitStack() as stack:
             self.folder = stack.enter_context(_private_folder())
-            self._own = self.make(stack)
+            self._own_addresses = self.make(stack)
             self._clock = ClockServer()
             stack.callback(self._clock.close)
             self._control = ControlServer(self.folder / "control", self._obey)
@@ -168,7 +166,7 @@ class VirtualPlantTime(ABC):
     def addresses(self) -> dict[str, str]:
         """The addresses of all parts, by name."""
         clock = "{}:{}".format(*self._clock.address)
-        return {**self._own, "clock": clock, "control": str(self._control.path)}
+        return {**self._own_addresses, "clock": clock, "control": str(self._control.path)}
 
     @property
     def elapsed(self) -> float:
@@ -211,12 +209,12 @@ class VirtualPlantTime(ABC):
             if wait > 0:
                 self.rest(wait)
             self.step()
-            now = time.monotonic()
-            if now - listened >= self._every:
-                listened = now
+            wall_now = time.monotonic()
+            if wall_now - listened >= self._every:
+                listened = wall_now
                 # While driven it stops often, and tells the time there, unless who drives has a wrong time.
-                if not self._clock.driven or now - self._clock_sent >= _REPEAT:
-                    self._send_clock(now)
+                if not self._clock.driven or wall_now - self._clock_sent >= self._REPEAT:
+                    self._send_clock(wall_now)
                 self._attend(watch)
                 limit = self._listen()
 
@@ -236,9 +234,9 @@ class VirtualPlantTime(ABC):
         return True
 
     def _attend(self, watch: Callable[[], object]) -> None:
-        now = time.monotonic()
-        if now - self._attended >= _ATTEND_EVERY:
-            self._attended = now
+        wall_now = time.monotonic()
+        if wall_now - self._attended >= self._ATTEND_EVERY:
+            self._attended = wall_now
             self._control.attend()
             watch()
 
@@ -255,17 +253,17 @@ class VirtualPlantTime(ABC):
 
     def _stand(self) -> None:
         """Tell the readers the time once they have every image."""
-        now = time.monotonic()
-        pause = _BREATH if self._clock.breathing else 0.0
-        if self._told == self.stamp:
-            pause = _REPEAT
-        if self.settled(self._clock) and now - self._clock_sent >= pause:
-            self._send_clock(now)
+        wall_now = time.monotonic()
+        pause = self._BREATH if self._clock.breathing else 0.0
+        if self._stamp_sent == self.stamp:
+            pause = self._REPEAT
+        if self.settled(self._clock) and wall_now - self._clock_sent >= pause:
+            self._send_clock(wall_now)
 
-    def _send_clock(self, now: float) -> None:
+    def _send_clock(self, wall_now: float) -> None:
         self._clock.send(self.stamp)
-        self._told = self.stamp
-        self._clock_sent = now
+        self._stamp_sent = self.stamp
+        self._clock_sent = wall_now
 
     def _require(self, fault: RigFault) -> RigFault:
         if fault.kind not in self.KINDS:
@@ -295,6 +293,18 @@ class VirtualPlantTime(ABC):
 class RigPace:
     """Computes how long to wait before plant time may advance."""
 
+    _MAX_LATE: Final = 0.2
+    """Most plant time caught up after a delay, s, when it runs faster than the wall clock.
+
+    Longer delays of a busy machine are lost: catching up in one jump would look like a silent host to the
+    board, with its deadline of one second. At real time nothing is lost, because a real plant does not wait
+    either.
+    """
+    _MIN_LATE: Final = 0.005
+    """Wall time always caught up, s: the latency of waking up."""
+    _RECENT: Final = 2.0
+    """Wall time over which the achieved speed is averaged, s."""
+
     def __init__(self, speed: float) -> None:
         self.speed = speed
         self._real = speed <= 1
@@ -304,14 +314,14 @@ class RigPace:
 
     def wait(self, plant: float) -> float:
         """Wall time, s, until plant time `plant` (s since the start) is due; 0 if it already is."""
-        now = time.monotonic()
-        self._mark(now, plant)
+        wall_now = time.monotonic()
+        self._mark(wall_now, plant)
         due = self._wall + (plant - self._plant) / self.speed
-        late = math.inf if self._real else max(_MIN_LATE, _MAX_LATE / self.speed)
-        if now - due > late:
-            self._wall = now - late
+        late = math.inf if self._real else max(self._MIN_LATE, self._MAX_LATE / self.speed)
+        if wall_now - due > late:
+            self._wall = wall_now - late
             self._plant = plant
-        return max(0.0, due - now)
+        return max(0.0, due - wall_now)
 
     def limit(self, speed: float, plant: float) -> None:
         """Continue at another speed from plant time `plant`, s."""
@@ -331,18 +341,18 @@ class RigPace:
         wall = time.monotonic() - self._start
         return wall, plant / wall
 
-    def _mark(self, now: float, plant: float) -> None:
-        if now - self._marks[-1][0] > _RECENT / 20:
-            self._marks.append((now, plant))
-            while now - self._marks[0][0] > _RECENT:
+    def _mark(self, wall_now: float, plant: float) -> None:
+        if wall_now - self._marks[-1][0] > self._RECENT / 20:
+            self._marks.append((wall_now, plant))
+            while wall_now - self._marks[0][0] > self._RECENT:
                 self._marks.popleft()
 
 
 @contextlib.contextmanager
 def _private_folder() -> Iterator[Path]:
     """A new private folder; folders left by killed rigs are removed first."""
-    for left in Path(tempfile.gettempdir()).glob(f"{_FOLDERS}*"):
-        _remove_if_left(left)
+    for leftover in Path(tempfile.gettempdir()).glob(f"{_FOLDERS}*"):
+        _remove_if_left(leftover)
     folder = Path(tempfile.mkdtemp(prefix=_FOLDERS))
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

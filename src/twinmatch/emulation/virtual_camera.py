@@ -13,21 +13,13 @@ import sys
 import time
 from collections import deque
 from enum import Enum
+from typing import Final
 
 import numpy as np
 
 from twinmatch.emulation.clock import LineServer
 from twinmatch.errors import TwinmatchError
 from twinmatch.shipped import NotShippedError, shipped
-
-_RATE = 9.0
-"""New images per second of plant time, as of a Lepton."""
-_PATIENCE = 30.0
-"""Longest start of the camera program, s."""
-_REPEAT = 0.05
-"""Interval at which an image that nobody has taken is sent again, wall s."""
-_GARBAGE = 512
-"""Bytes of noise in place of an image."""
 
 
 class VirtualCameraError(TwinmatchError):
@@ -51,6 +43,13 @@ class VirtualCamera:
         VirtualCameraError: the program is missing or does not start.
     """
 
+    _RATE: Final = 9.0
+    """New images per second of plant time, as of a Lepton."""
+    PATIENCE: Final = 30.0
+    """Longest start of the camera program, s."""
+    _REPEAT: Final = 0.05
+    """Interval at which an image that nobody has taken is sent again, wall s."""
+
     def __init__(self, *, ambient: float, seed: int = 0) -> None:
         self.frozen = False
         """Whether the sensor repeats its last image."""
@@ -64,7 +63,7 @@ class VirtualCamera:
         """Plant time of the newest image, ns."""
         self._serving = Serving.CAMERA
         self._process: subprocess.Popen[bytes] | None = None
-        self._said: deque[str] = deque(maxlen=20)
+        self._printed_lines: deque[str] = deque(maxlen=20)
         self._garbage: _Garbage | None = None
         self._environment = _environment()
         self.address = ("127.0.0.1", 0)
@@ -84,12 +83,12 @@ class VirtualCamera:
             plate: the plate's temperature, °C.
             stamp: plant time for the image's stamp, ns.
         """
-        tick = math.floor(elapsed * _RATE + 1e-6)
+        tick = math.floor(elapsed * self._RATE + 1e-6)
         if tick == self._tick:
             return
         self._tick = tick
         if not (self.frozen and self._line):
-            self._line = b"%.9f %.6f" % (tick / _RATE, plate)
+            self._line = b"%.9f %.6f" % (tick / self._RATE, plate)
         if self._garbage is not None:
             self._garbage.send()
         self.stamp = stamp
@@ -102,21 +101,21 @@ class VirtualCamera:
 
     def repeat(self) -> None:
         """Send the newest image again, unless it was sent just now: it may get lost."""
-        if time.monotonic() - self._shown_at >= _REPEAT:
+        if time.monotonic() - self._shown_at >= self._REPEAT:
             self._show()
 
-    def serve(self, who: Serving) -> None:
+    def serve(self, program: Serving) -> None:
         """Change the program at the camera's address."""
-        if who is self._serving:
+        if program is self._serving:
             return
-        self._serving = who
+        self._serving = program
         self._end_program()
         if self._garbage is not None:
             self._garbage.close()
             self._garbage = None
-        if who is Serving.CAMERA:
+        if program is Serving.CAMERA:
             self._start()
-        elif who is Serving.GARBAGE:
+        elif program is Serving.GARBAGE:
             self._garbage = _Garbage(self.address, self._seed)
 
     def close(self) -> None:
@@ -141,14 +140,14 @@ class VirtualCamera:
             os.set_blocking(_pipe(pipe).fileno(), False)
 
     def _wait_for_port(self) -> int:
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + self.PATIENCE
         while time.monotonic() < deadline:
             self._listen()
-            for line in self._said:
+            for line in self._printed_lines:
                 if port := re.search(r"serving .*:(\d+)$", line):
                     return int(port[1])
             time.sleep(0.01)
-        raise VirtualCameraError(f"virtual camera: its program was not ready after {_PATIENCE:g} s")
+        raise VirtualCameraError(f"virtual camera: its program was not ready after {self.PATIENCE:g} s")
 
     def _show(self) -> None:
         self._shown_at = time.monotonic()
@@ -161,11 +160,11 @@ class VirtualCamera:
         process = self._process
         if process is None:
             return
-        said = _pipe(process.stderr).read()
-        if said:
-            self._said.extend(said.decode(errors="replace").splitlines())
-        elif said == b"":
-            last = " / ".join(list(self._said)[-3:])
+        output = _pipe(process.stderr).read()
+        if output:
+            self._printed_lines.extend(output.decode(errors="replace").splitlines())
+        elif output == b"":
+            last = " / ".join(list(self._printed_lines)[-3:])
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 
     def _end_program(self) -> None:
@@ -183,6 +182,9 @@ class VirtualCamera:
 class _Garbage(LineServer):
     """Another program at the camera's address that sends noise."""
 
+    _GARBAGE: Final = 512
+    """Bytes of noise in place of an image."""
+
     def __init__(self, address: tuple[str, int], seed: int) -> None:
         super().__init__(socket.create_server(address))
         self._random = np.random.default_rng(seed)
@@ -190,7 +192,7 @@ class _Garbage(LineServer):
     def send(self) -> None:
         self.accept()
         for client in list(self._clients):
-            self.put(client, self._random.bytes(_GARBAGE))
+            self.put(client, self._random.bytes(self._GARBAGE))
 
 
 def _environment() -> dict[str, str]:

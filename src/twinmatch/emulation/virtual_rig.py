@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from contextlib import ExitStack
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -35,22 +35,16 @@ RICH_RIG = Peltier.model("sink with mass").parameters(
 """The true parameters of the virtual rig, deliberately richer than the twin's start: its heat sink has a
 mass, and a fan cools it."""
 
-_FEEDBACK_EVERY = 100
-"""Interval at which the board's current feedback is updated, ms of plant time."""
-_STILL_AIR = 0.1
-"""Fraction of the convection that remains without the fan."""
-_AMBIENT_STEP = 10.0
-"""K"""
-_OPEN = 1e-9
-"""Current limit of an open circuit, A: no current flows, not even from the Seebeck voltage."""
-_WRITING = 0.05
-"""Probability per burst that the other program writes to the serial line."""
-_TAKEN = 20
-"""Most bytes it takes from the line; a reply has about 25."""
-
 
 class VirtualPlant:
     """The plant between the driver's pins and the camera, in any structure of the Peltier rig."""
+
+    _STILL_AIR: Final = 0.1
+    """Fraction of the convection that remains without the fan."""
+    _AMBIENT_STEP: Final = 10.0
+    """Change of the room's temperature under `ambient-step`, K."""
+    _OPEN: Final = 1e-9
+    """Current limit of an open circuit, A: no current flows, not even from the Seebeck voltage."""
 
     FAULTS: ClassVar = {
         "drive-lost": "wire_broken",
@@ -65,7 +59,7 @@ class VirtualPlant:
         self.fan_failed = False
         self.warm_room = False
         self._parameters = parameters
-        self._made: dict[tuple[bool, ...], Parameters] = {}
+        self._parameters_by_case: dict[tuple[bool, ...], Parameters] = {}
         # The first tick loads the plant's compiled code, which must not delay board time later.
         advance(self._under(enabled=False), self.states, 0.0, 1e-3)
         quantities(parameters, self.states, 0.0)
@@ -113,24 +107,32 @@ class VirtualPlant:
 
     def _celsius(self, name: str) -> float:
         """A state, °C; a sink without mass is at room temperature."""
-        known = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
-        return float(known.get(name, self.parameters["ambient"])) - Peltier.output.absolute
+        by_name = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
+        return float(by_name.get(name, self.parameters["ambient"])) - Peltier.output.absolute
 
     def _under(self, *, enabled: bool) -> Parameters:
         """Parameters under the active faults, with a closed or an open circuit; cached."""
         case = (self.fan_failed, self.warm_room, enabled)
-        if case not in self._made:
+        if case not in self._parameters_by_case:
             parameters = self._parameters
             if self.fan_failed and "sink_convection" in parameters:
-                parameters = parameters.replace(sink_convection=_STILL_AIR * parameters["sink_convection"])
+                still_air = self._STILL_AIR * parameters["sink_convection"]
+                parameters = parameters.replace(sink_convection=still_air)
             if self.warm_room:
-                parameters = parameters.replace(ambient=parameters["ambient"] + _AMBIENT_STEP)
-            self._made[case] = parameters if enabled else parameters.replace(current_limit=_OPEN)
-        return self._made[case]
+                parameters = parameters.replace(ambient=parameters["ambient"] + self._AMBIENT_STEP)
+            if not enabled:
+                parameters = parameters.replace(current_limit=self._OPEN)
+            self._parameters_by_case[case] = parameters
+        return self._parameters_by_case[case]
 
 
 class SerialNoise:
     """Another program on the port that ignores the lock: it writes damaged frames and takes replies away."""
+
+    _WRITING: Final = 0.05
+    """Probability per burst that the other program writes to the serial line."""
+    _TAKEN: Final = 20
+    """Most bytes it takes from the line; a reply has about 25."""
 
     def __init__(self, port: str, seed: int = 0) -> None:
         self._port = port
@@ -143,9 +145,9 @@ class SerialNoise:
         except OSError:
             return  # the cable is pulled
         try:
-            if self._random.random() < _WRITING:
+            if self._random.random() < self._WRITING:
                 os.write(line, b":" + self._random.bytes(12) + b"\n")
-            os.read(line, int(self._random.integers(1, _TAKEN)))
+            os.read(line, int(self._random.integers(1, self._TAKEN)))
         except OSError:
             return  # nothing to take
         finally:
@@ -159,11 +161,15 @@ class VirtualRig(VirtualPlantTime):
         TwinmatchError: the board or the camera cannot be created.
     """
 
+    _FEEDBACK_EVERY: Final = 100
+    """Interval at which the board's current feedback is updated, ms of plant time."""
+
     def make(self, stack: ExitStack) -> dict[str, str]:
         """Create board, camera and plate."""
         self.plant = VirtualPlant()
-        made = make_board(self.settings.board, self.folder / "ttyACM0")
-        self._board, self.board_kind, self.board_remark = made
+        self._board, self.board_kind, self.board_remark = make_board(
+            self.settings.board, self.folder / "ttyACM0"
+        )
         stack.callback(self._board.close)
         self._camera = VirtualCamera(ambient=self.plant.plate, seed=1000 * self.settings.seed)
         stack.callback(self._camera.close)
@@ -179,10 +185,10 @@ class VirtualRig(VirtualPlantTime):
         self.plant.advance(self.drive, seconds)
         before = self.ms
         self.ms = self.ms + self.slice
-        if self.ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
+        if self.ms // self._FEEDBACK_EVERY != before // self._FEEDBACK_EVERY:
             self._board.set_current(self.plant.feedback(self.drive))
-        seen = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)
-        self._camera.see(self.elapsed, seen, self.stamp)
+        temperature = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)
+        self._camera.see(self.elapsed, temperature, self.stamp)
 
     def _advance_board(self) -> None:
         if "garbage-serial" not in self.schedule.active:

@@ -7,6 +7,7 @@ clock, as that of a simulator, count for all: the time constants of the plant ar
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Final, NamedTuple
 
@@ -20,10 +21,18 @@ __all__ = ["Times", "times_by_one_clock"]
 Times = dict[str, list[FloatArray]]
 """By signal, for each of its channels the times of its messages, s, in the order of recording."""
 
-_SAME_CLOCK: Final = 1.0
-"""Clocks that differ by more, s, are different ones."""
-_SAME_RATE: Final = 0.01
-"""Clocks whose rates differ by more, relatively, do not go alike."""
+
+@dataclass(frozen=True)
+class ClockLikeness:
+    """When two clocks are taken as the same one."""
+
+    offset: float = 1.0
+    """Clocks that differ by more, s, are different ones."""
+    rate: float = 0.01
+    """Clocks whose rates differ by more, relatively, do not go alike."""
+
+
+_ALIKE: Final = ClockLikeness()
 _SHORTEST: Final = 1e-9
 """Shortest time of recording by which a rate is divided, s."""
 
@@ -33,7 +42,7 @@ def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times,
     all_series = list(chain.from_iterable(recorded.values()))
     with_stamps = [series for series in all_series if series.has_stamp.any()]
     offset = max((_usual_size(series.logged - series.stamped) for series in with_stamps), default=0.0)
-    if offset <= _SAME_CLOCK:
+    if offset <= _ALIKE.offset:
         return _times(recorded, lambda series: _stamps_or(series.logged, series)), []
     clock = _HeaderClock.of(with_stamps, _RecordingTime.of(all_series))
     if not (clock.moves and clock.is_shared_by(with_stamps)):
@@ -43,13 +52,16 @@ def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times,
         )
         return _times(recorded, lambda series: series.logged), [own_clocks]
     times = _times(recorded, lambda series: _stamps_or(clock.at(series), series))
-    pace = "" if abs(clock.rate - 1) <= _SAME_RATE else f", {clock.rate:.3g} times as fast"
+    pace = "" if abs(clock.rate - 1) <= _ALIKE.rate else f", {clock.rate:.3g} times as fast"
     shared = f"The headers share a clock of their own, which counts: {offset:.3g} s from the bag's{pace}."
     return times, [shared]
 
 
 def _times(recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]) -> Times:
-    return {name: [times_of(series) for series in channels] for name, channels in recorded.items()}
+    times = {}
+    for name, channels in recorded.items():
+        times[name] = [times_of(series) for series in channels]
+    return times
 
 
 def _stamps_or(times: FloatArray, series: Series) -> FloatArray:
@@ -114,4 +126,4 @@ class _HeaderClock(NamedTuple):
     def is_shared_by(self, with_stamps: Sequence[Series]) -> bool:
         """Whether the header stamps of all these channels are of this clock."""
         offsets = [_usual_size(series.stamped - self.at(series)) for series in with_stamps]
-        return max(offsets) <= _SAME_CLOCK
+        return max(offsets) <= _ALIKE.offset

@@ -57,8 +57,10 @@ class SqliteScan(Scan):
                     else:
                         lost += 1
         except (sqlite3.Error, OSError, LookupError) as error:
-            what = f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
-            raise RecordingError(f"{self.path}: {what}") from error
+            problem = (
+                f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
+            )
+            raise RecordingError(f"{self.path}: {problem}") from error
         if lost:
             self.fault = f"{lost} messages belong to no topic and are left out"
 
@@ -97,8 +99,8 @@ def _database(path: Path) -> Iterator[sqlite3.Connection]:
         for file in (path, *beside) if beside else ():
             shutil.copyfile(file, Path(folder) / file.name)
         place = Path(folder) / path.name if beside else path
-        how = "mode=rw" if beside else "mode=ro&immutable=1"
-        with closing(sqlite3.connect(f"{place.absolute().as_uri()}?{how}", uri=True)) as data:
+        mode = "mode=rw" if beside else "mode=ro&immutable=1"
+        with closing(sqlite3.connect(f"{place.absolute().as_uri()}?{mode}", uri=True)) as data:
             yield data
 
 
@@ -198,20 +200,20 @@ def _definition(topic: Topic) -> Definition:
     for stored in (_stated, _standard, _installed):
         try:
             store = stored(topic)
-            known = store.get_msgdef(topic.type)
+            parsed = store.get_msgdef(topic.type)
             asked = topic.type_hash if stored is not _stated else ""
-            alike = not asked or store.hash_rihs01(topic.type) == asked
+            is_same = not asked or store.hash_rihs01(topic.type) == asked
         except (KeyError, SessionError):
             continue  # it is not there, or one nested in it is not
         except Exception as error:  # the library raises many kinds for what it cannot read
             why = f"the definition of {topic.type} cannot be read ({first_line(error)})"
             continue
-        if not alike:
+        if not is_same:
             why = f"{topic.type} was recorded with another definition than that which is installed"
             continue
         ros1 = partial(store.deserialize_ros1, typename=topic.type)
         fields_of = partial(_fields_in, store)
-        return Definition(fields_of, ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, known))
+        return Definition(fields_of, ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, parsed))
     raise RecordingError(why)
 
 
@@ -251,25 +253,25 @@ def _fields_in(store: Any, kind: str) -> dict[str, Field]:
 
 def _field(described: Any) -> Field:
     """Convert a field description of rosbags: a pair of node kind and content."""
-    node, of = described
+    node, content = described
     name = node.name
     if name in ("ARRAY", "SEQUENCE"):
-        inner, length = of
+        inner, length = content
         return _field(inner)._replace(array=True, length=length if name == "ARRAY" else None)
-    return Field(of[0] if name == "BASE" else of)
+    return Field(content[0] if name == "BASE" else content)
 
 
-def _from_cdr(store: Any, known: Any, data: bytes) -> Any:
+def _from_cdr(store: Any, parsed: Any, data: bytes) -> Any:
     """The message at the beginning of these bytes; rclpy writes more than that."""
     if data[:4] == _ZSTD:
         size = zstandard.frame_content_size(data)
         if not 0 <= size <= MAX_UNPACKED:
             raise RecordingError(f"a compressed message of {size} bytes; {MAX_UNPACKED} is the most")
         data = zstandard.decompress(data)
-    read = {b"\0\0": known.deserialize_cdr_be, b"\0\1": known.deserialize_cdr_le}.get(data[:2])
+    read = {b"\0\0": parsed.deserialize_cdr_be, b"\0\1": parsed.deserialize_cdr_le}.get(data[:2])
     if read is None:
         raise RecordingError(f"{data[:4].hex(' ')} does not begin plain CDR")
-    return read(data[4:], 0, known.cls, store)[0]
+    return read(data[4:], 0, parsed.cls, store)[0]
 
 
 def first_line(error: Exception) -> str:

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -35,13 +36,6 @@ from twinmatch.sessions.messages import Message, Topic
 from twinmatch.sessions.metadata import METADATA, counts_listed, files_of, miscounted
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import FloatArray
-
-MAX_TOPICS: Final = 1000
-"""Most topics of a bag: graphs of robots have some hundreds."""
-_MANY: Final = 40
-"""Topics that an error lists."""
-_EVERY: Final = 500
-"""Messages between two reports of progress."""
 
 
 class BagTopic(NamedTuple):
@@ -89,6 +83,13 @@ def is_bag(path: Path) -> bool:
 class Bag:
     """An open bag."""
 
+    MAX_TOPICS: Final = 1000
+    """Most topics of a bag: graphs of robots have some hundreds."""
+    _MANY: Final = 40
+    """Topics that an error lists."""
+    PROGRESS_EVERY: Final = 500
+    """Messages between two reports of progress."""
+
     def __init__(self, path: Path, scans: Callable[[], Sequence[Scan]], notes: Sequence[str]) -> None:
         """Look through all its messages.
 
@@ -125,10 +126,10 @@ class Bag:
     def _add_topics(self, topics: Sequence[Topic]) -> None:
         for topic in topics:
             self._topics.setdefault(topic.name, []).append(topic)
-        if len(self._topics) > MAX_TOPICS:
+        if len(self._topics) > self.MAX_TOPICS:
             raise RecordingError(
-                f"{self.path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the "
-                "plant into a bag of their own: ros2 bag convert"
+                f"{self.path}: has {len(self._topics)} topics, more than {self.MAX_TOPICS}; copy those of "
+                "the plant into a bag of their own: ros2 bag convert"
             )
 
     @property
@@ -136,9 +137,9 @@ class Bag:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._topic(name) for name in sorted(self._topics)}
         paths_by_name: dict[str, dict[str, None]] = {  # sets that keep their order
-            name: {} for name, topic in topics.items() if len(topic.numbers) <= _FIELDS
+            name: {} for name, topic in topics.items() if len(topic.numbers) <= _LISTING.numbers
         }
-        for raw in self._messages(paths_by_name, _NAMED):
+        for raw in self._messages(paths_by_name, _LISTING.for_names):
             with suppress(TwinmatchError):  # damage is reported where a channel is read
                 message = self._decoded(raw)
                 for path in topics[raw.topic.name].numbers:
@@ -155,7 +156,7 @@ class Bag:
         channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
         columns = [
             described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
-            for channel, series in zip(channels, self.series(channels, _ENOUGH), strict=True)
+            for channel, series in zip(channels, self.series(channels, _LISTING.messages), strict=True)
             if series.values.size
         ]
         return [column for column in columns if column.kind != "text"]
@@ -182,7 +183,7 @@ class Bag:
             by_topic.setdefault(channel_readings.channel.topic, []).append(channel_readings)
         total = sum(self._counts[name] for name in by_topic)
         for place, raw in enumerate(self._messages(by_topic, most), 1):
-            if progress is not None and place % _EVERY == 0:
+            if progress is not None and place % self.PROGRESS_EVERY == 0:
                 progress(place, total)
             try:
                 message = self._decoded(raw)
@@ -201,17 +202,17 @@ class Bag:
 
     def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
         """The messages of topics in the order of recording, or the first few of each; `topics` may shrink."""
-        left = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
-        if not left:
+        wanted = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
+        if not wanted:
             return
         for message in chain.from_iterable(self._scans()):
             name = message.topic.name
-            if name in left and name in topics:
-                left[name] -= 1
+            if name in wanted and name in topics:
+                wanted[name] -= 1
                 yield message
-                if not left[name]:
-                    del left[name]
-            if not left:
+                if not wanted[name]:
+                    del wanted[name]
+            if not wanted:
                 return
 
     def _decoded(self, message: Message) -> Any:
@@ -219,14 +220,14 @@ class Bag:
             return definition_of(message.topic).decode(message.data)
         except Exception as error:  # the library raises many kinds for damaged bytes
             name, kind, *_ = message.topic
-            what = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
-            raise RecordingError(f"{self.path}: {name}: {what}") from error
+            problem = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
+            raise RecordingError(f"{self.path}: {name}: {problem}") from error
 
     def _check(self, channel: Channel) -> tuple[Channel, str]:
         topics = self._topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:
-            present = ", ".join(sorted(topics)[:_MANY]) or "none"
+            present = ", ".join(sorted(topics)[: self._MANY]) or "none"
             raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {present}")
         if not self._counts[name]:
             raise RecordingError(f"{self.path}: topic {name} has no messages; map another one")
@@ -295,7 +296,7 @@ def _partly_read(scan: Scan, messages: int) -> str:
 
 def _can_be_listed(topic: BagTopic) -> bool:
     """Whether a message has few numbers, a list counted as one."""
-    return len({path.split("[")[0] for path in topic.numbers}) <= _FIELDS
+    return len({path.split("[")[0] for path in topic.numbers}) <= _LISTING.numbers
 
 
 @contextmanager
@@ -311,8 +312,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise RecordingError(f"{path}: does not exist")
     files, notes = files_of(path, lambda file: suffix_of(file) in SCANS) if path.is_dir() else ([path], [])
     if not files or len({suffix_of(file) for file in files}) > 1:
-        what = "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
-        raise RecordingError(f"{path}: {what}")
+        problem = (
+            "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
+        )
+        raise RecordingError(f"{path}: {problem}")
     with scans_of(files) as scans:
         yield Bag(path, scans, notes)
 
@@ -324,9 +327,16 @@ def _stamp(message: Any) -> float:
     return seconds or float("nan")
 
 
-_ENOUGH: Final = 2000
-"""Messages read per topic."""
-_NAMED: Final = 50
-"""Messages read per topic for the names of elements: several publishers may take turns."""
-_FIELDS: Final = 20
-"""Most numbers in a listed message; messages with more are images and point clouds."""
+@dataclass(frozen=True)
+class BagListing:
+    """How much of a bag is read for a list of its numbers."""
+
+    messages: int = 2000
+    """Read per topic."""
+    for_names: int = 50
+    """Messages read per topic for the names of elements: several publishers may take turns."""
+    numbers: int = 20
+    """Most numbers in a listed message; messages with more are images and point clouds."""
+
+
+_LISTING: Final = BagListing()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -38,7 +39,7 @@ def read_map(path: Path) -> SignalMap:
         raise RecordingError(f"{path}: columns is empty; give a line for each signal, such as output: T")
     if content.period is not None and not 0 < content.period < np.inf:
         raise RecordingError(f"{path}: period is {content.period:g}; give a positive number of seconds")
-    sources = {name: source_of(f"{path}: {name}", given) for name, given in content.columns.items()}
+    sources = {name: source_of(f"{path}: {name}", entry) for name, entry in content.columns.items()}
     return SignalMap(sources, content.plant, content.period)
 
 
@@ -57,19 +58,38 @@ _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surrou
 _TIME: Final = re.compile(
     r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
 )
-_FEW: Final = 12
-"""A column with at most so many different values looks commanded rather than measured."""
-_REPEATED: Final = 0.9
-_JUMP: Final = 0.05
-"""A column that repeats its value in this share of the rows, and otherwise jumps by this share of its range,
-looks commanded too. A slow reading that is rounded repeats its value as often, but moves by one digit."""
 
+
+@dataclass(frozen=True)
+class CommandedColumns:
+    """Which columns look commanded rather than measured.
+
+    They have few different values, or hold their value and jump. A slow reading that is rounded repeats its
+    value as often, but moves by one digit.
+    """
+
+    different: int = 12
+    """Most different values."""
+    repeated: float = 0.9
+    """Share of the rows in which a column that jumps repeats its value."""
+    jump: float = 0.05
+    """Usual size of its jumps, as a share of its range."""
+
+
+@dataclass(frozen=True)
+class TitledTimes:
+    """Which columns with the title of a time are one, although they do not grow in each row."""
+
+    back: float = 0.1
+    """Most steps back, as a share of those forward."""
+    twice: float = 0.05
+    """Largest share of rows that may repeat the time before."""
+
+
+_COMMANDED: Final = CommandedColumns()
+_TITLED: Final = TitledTimes()
 _TIMES: Final = ("time", "t", "timestamp", "seconds", "sec", "elapsed", "zeit", "temps", "tiempo", "tempo")
 """Titles of times that may also stand still or go back."""
-_RESTARTS: Final = 0.1
-"""Most steps back, as a share of those forward, in a column that is a time by its title."""
-_TWICE: Final = 0.05
-"""Largest share of rows that may repeat the time before in a column that is a time by its title."""
 
 
 class Column(NamedTuple):
@@ -152,30 +172,30 @@ def _is_time(title: str, finite: FloatArray) -> bool:
     name, _ = split_title(title)
     if _TIME.search(name) is None:
         return False
-    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TWICE * steps.size)
-    set_back_rarely = bool((steps < 0).sum() <= _RESTARTS * (steps > 0).sum())
+    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TITLED.twice * steps.size)
+    set_back_rarely = bool((steps < 0).sum() <= _TITLED.back * (steps > 0).sum())
     return bool(repeats_rarely or (set_back_rarely and name.lower() in _TIMES))
 
 
 def _stepped(values: FloatArray) -> bool:
     changes = np.abs(np.diff(values))
     moved = changes[changes > 0]
-    if not moved.size or moved.size > (1.0 - _REPEATED) * changes.size:
+    if not moved.size or moved.size > (1.0 - _COMMANDED.repeated) * changes.size:
         return False
-    return float(np.median(moved)) >= _JUMP * float(np.ptp(values))
+    return float(np.median(moved)) >= _COMMANDED.jump * float(np.ptp(values))
 
 
 def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
     """A guess at the columns of time, output, input, reference and room, for a person to check."""
     sources: dict[str, SignalSource] = {}
-    taken: set[str] = set()
+    used: set[str] = set()
     for signal, candidates in _candidates(columns):
         if signal in sources:
             continue
-        free = [column.title for column in candidates if column.title not in taken]
+        free = [column.title for column in candidates if column.title not in used]
         if free:
             sources[signal] = SignalSource((free[0],))
-            taken.add(free[0])
+            used.add(free[0])
     if seen_by_controller(columns, sources):
         measured, drive = _in_and_out(columns)
         sources["output"] = SignalSource((measured.title,))
@@ -200,7 +220,7 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
         ("output", titled_outputs),
         ("time", _of(columns, "time")),
         ("input", _of(columns, "on or off")),
-        ("input", [column for column in numbers if column.different <= _FEW]),
+        ("input", [column for column in numbers if column.different <= _COMMANDED.different]),
         ("output", _liveliest(numbers)),
         ("input", numbers),
     ]

@@ -54,19 +54,21 @@ class PlantSignal(NamedTuple):
     high: float = math.inf
 
 
-def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> SignalMap:
+def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
-    sources = dict(by_signal(plant, given.sources))
-    taken = {table.find(place) for source in sources.values() for place in with_titles(table, source).places}
+    sources = dict(by_signal(plant, signal_map.sources))
+    used_titles: set[str] = set()
+    for source in sources.values():
+        used_titles.update(map(table.find, with_titles(table, source).places))
     titles_by_name = _titles_by_name(table)
     for signal, names in _own_names_first(accepted_names(plant)):
         if signal in sources:
             continue
-        title = _only_free_title(titles_by_name, reversed(names), taken)
+        title = _only_free_title(titles_by_name, reversed(names), used_titles)
         if title is not None:
             sources[signal] = SignalSource((title,))
-            taken.add(title)
-    return SignalMap(sources, given.plant, given.period)
+            used_titles.add(title)
+    return SignalMap(sources, signal_map.plant, signal_map.period)
 
 
 def _titles_by_name(table: Table) -> dict[str, list[str]]:
@@ -84,19 +86,19 @@ def _own_names_first(names_by_signal: Mapping[str, Sequence[str]]) -> list[tuple
 
 
 def _only_free_title(
-    titles_by_name: Mapping[str, Sequence[str]], names: Iterable[str], taken: Container[str]
+    titles_by_name: Mapping[str, Sequence[str]], names: Iterable[str], used_titles: Container[str]
 ) -> str | None:
     """The title of the first of these names that one free column has alone."""
     for name in names:
         titles = titles_by_name.get(name.lower(), ())
-        if len(titles) == 1 and titles[0] not in taken:
+        if len(titles) == 1 and titles[0] not in used_titles:
             return titles[0]
     return None
 
 
 def map_samples(
     table: Table,
-    given: SignalMap,
+    signal_map: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -106,7 +108,7 @@ def map_samples(
 
     Args:
         table: the table.
-        given: its columns by signal.
+        signal_map: its columns by signal.
         plant: what they are signals of.
         longest: longest step between rows that is interpolated, s; three usual ones if not given.
         gaps: treatment of longer steps, and of steps back; where they split the table, the samples' indices
@@ -117,10 +119,10 @@ def map_samples(
             range, or a gap is too long.
     """
     sources = {
-        signal: with_titles(table, source) for signal, source in by_signal(plant, given.sources).items()
+        signal: with_titles(table, source) for signal, source in by_signal(plant, signal_map.sources).items()
     }
-    signals, notes = _wanted(table, plant, replace(given, sources=sources))
-    times = times_of(table, sources.get(TIME), given.period)
+    signals, notes = _wanted(table, plant, replace(signal_map, sources=sources))
+    times = times_of(table, sources.get(TIME), signal_map.period)
     values = {
         signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
     }
@@ -134,13 +136,13 @@ def map_samples(
         times.seconds[rows],
         {signal: column[rows] for signal, column in values.items()},
         {signal: properties.kind for signal, properties in signals.items()},
-        given.period,
+        signal_map.period,
         longest=longest,
         gaps=gaps,
         place=str(table.path),
         row=lambda i: table.row_name(int(rows[i])),
     )
-    if given.period is None:
+    if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
@@ -195,14 +197,14 @@ def with_titles(table: Table, source: SignalSource) -> SignalSource:
     return replace(source, places=tuple(map(table.find, places)))
 
 
-def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
+def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
     """Check that a map has these signals, and times or the distance of the rows.
 
     Raises:
         RecordingError: something is missing.
     """
-    missing = [signal for signal in needed if signal not in given.sources]
-    missing = missing if given.period is not None or TIME in given.sources else [TIME, *missing]
+    missing = [signal for signal in needed if signal not in signal_map.sources]
+    missing = missing if signal_map.period is not None or TIME in signal_map.sources else [TIME, *missing]
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
@@ -213,15 +215,17 @@ def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUT
         raise RecordingError(msg + (rows if TIME in missing else ""))
 
 
-def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[str, PlantSignal], list[str]]:
+def _wanted(
+    table: Table, plant: type[Plant], signal_map: SignalMap
+) -> tuple[dict[str, PlantSignal], list[str]]:
     """The plant's signals that are taken from the table, and notes on those that are not there.
 
     Raises:
         RecordingError: a column that is needed is not mapped.
     """
     loop = LoopNames.of(plant)
-    sources = given.sources
-    require_columns(table, given, (*loop.outputs, *loop.inputs))
+    sources = signal_map.sources
+    require_columns(table, signal_map, (*loop.outputs, *loop.inputs))
     outputs = plant.outputs.values()
     signals = {}
     notes = []
@@ -270,14 +274,14 @@ def times_of(table: Table, source: SignalSource | None, period: float | None) ->
     return read_times(table, source.places[0], source.unit, source.scale)
 
 
-def _values(table: Table, source: SignalSource, signal: str, known: PlantSignal) -> FloatArray:
+def _values(table: Table, source: SignalSource, signal: str, plant_signal: PlantSignal) -> FloatArray:
     """A signal in the plant's unit, shape (N,)."""
     changes = []
     for title in source.places:
         stated = table.unit(title)
         stated = stated if measure(stated).known else ""  # other text in brackets is a remark
         try:
-            changes.append(source.change(signal, title, known.unit, stated))
+            changes.append(source.change(signal, title, plant_signal.unit, stated))
         except SamplingError as error:
             raise RecordingError(f"{table.path}: {error}") from None
     return source.value([without_marks(table.values(title)) for title in source.places], changes)
@@ -288,21 +292,25 @@ def without_marks(values: FloatArray) -> FloatArray:
 
     It is a mark where no other reading comes near it.
     """
-    known = values[np.isfinite(values)]
-    marks = np.isin(known, _MARKS)
-    readings = known[~marks]
-    if not marks.any() or not readings.size or readings.min() < 0.5 * float(known[marks].max()):
+    finite = values[np.isfinite(values)]
+    marks = np.isin(finite, _MARKS)
+    readings = finite[~marks]
+    if not marks.any() or not readings.size or readings.min() < 0.5 * float(finite[marks].max()):
         return values
     return np.where(np.isin(values, _MARKS), np.nan, values)
 
 
 def check_range(
-    table: Table, signal: str, known: PlantSignal, values: FloatArray, kept: np.ndarray | None = None
+    table: Table,
+    signal: str,
+    plant_signal: PlantSignal,
+    values: FloatArray,
+    used_rows: np.ndarray | None = None,
 ) -> list[str]:
     """Refuse values outside the plant's range; keep a few odd readings as those of a failed sensor, which the
     health monitor detects.
 
-    The values are in the plant's unit, shape (N,); `kept` are the rows that are used, all if not given.
+    The values are in the plant's unit, shape (N,); `used_rows` is None if all are used.
 
     Returns:
         A note on odd readings.
@@ -310,37 +318,44 @@ def check_range(
     Raises:
         RecordingError: values are outside the range.
     """
-    kept = np.arange(values.size) if kept is None else kept
-    slack = 1e-9 * max(abs(known.low), abs(known.high)) if math.isfinite(known.high - known.low) else 0.0
-    outside = kept[(values[kept] < known.low - slack) | (values[kept] > known.high + slack)]
+    if used_rows is None:
+        used_rows = np.arange(values.size)
+    low = plant_signal.low
+    high = plant_signal.high
+    slack = 1e-9 * max(abs(low), abs(high)) if math.isfinite(high - low) else 0.0
+    outside = used_rows[(values[used_rows] < low - slack) | (values[used_rows] > high + slack)]
     if not outside.size:
         return []
     first = int(outside[0])
-    others = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
-    what = "limits of its drive" if known.kind == "held" else "span of its output"
+    further = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
+    bounds = "limits of its drive" if plant_signal.kind == "held" else "span of its output"
     words = (
-        f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, "
-        f"{known.low:g} to {known.high:g}"
+        f"{signal} is {values[first]:g} {plant_signal.unit}{further}, beyond the {bounds}, "
+        f"{low:g} to {high:g}"
     )
-    if known.kind == "reading" and outside.size <= _ODD * kept.size:
+    if plant_signal.kind == "reading" and outside.size <= _ODD * used_rows.size:
         return [f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."]
-    raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, known, values[kept])}")
+    raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, plant_signal, values[used_rows])}")
 
 
-def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:
+def _all_in_range(values: FloatArray, plant_signal: PlantSignal) -> bool:
+    return bool(((values >= plant_signal.low) & (values <= plant_signal.high)).all())
+
+
+def _hint(signal: str, plant_signal: PlantSignal, values: FloatArray) -> str:
     for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
         try:
-            change = conversion(unit, known.unit)
+            change = conversion(unit, plant_signal.unit)
         except TwinmatchError:
             continue
         with np.errstate(over="ignore"):
             within = values * change.scale + change.offset
-        if change != Conversion() and ((within >= known.low) & (within <= known.high)).all():
+        if change != Conversion() and _all_in_range(within, plant_signal):
             return f"if the column is in {unit or 'parts of one'}, write '{signal}=COLUMN; unit={unit or 1}'"
     for scale in (0.01, 100.0, 1e-3, 1e3, 100 / 255, 1 / 255):
         with np.errstate(over="ignore"):  # of damaged files
             within = values * scale
-        if within.max() > 0.2 * known.high and ((within >= known.low) & (within <= known.high)).all():
+        if within.max() > 0.2 * plant_signal.high and _all_in_range(within, plant_signal):
             return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
     return "map another column, give its unit, or widen the plant's range if the values are right"
 
@@ -354,16 +369,15 @@ def _samples(plant: type[Plant], resampled: Resampled, start: int) -> list[Sampl
         columns.setdefault(reference, np.full(resampled.index.size, columns[output][0]))
     for name, disturbance in plant.disturbances.items():
         columns.setdefault(name, np.full(resampled.index.size, disturbance.default))
-    return [
-        Sample(*row)
-        for row in zip(
-            resampled.index.tolist(),
-            _stamps(resampled, start).tolist(),
-            *(_rows(columns, names, resampled.index.size) for names in loop),
-            _rows(columns, list(plant.disturbances), resampled.index.size),
-            strict=True,
-        )
-    ]
+    size = resampled.index.size
+    rows = zip(
+        resampled.index.tolist(),
+        _stamps(resampled, start).tolist(),
+        *(_rows(columns, names, size) for names in loop),
+        _rows(columns, list(plant.disturbances), size),
+        strict=True,
+    )
+    return [Sample(*row) for row in rows]
 
 
 def _rows(columns: Mapping[str, FloatArray], names: Sequence[str], size: int) -> list[Signals]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +33,7 @@ from twinmatch.signals import FloatArray
 
 def map_bag(
     path: Path,
-    given: SignalMap,
+    signal_map: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -47,7 +48,7 @@ def map_bag(
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
     """
-    sources = by_signal(plant, given.sources)
+    sources = by_signal(plant, signal_map.sources)
     loop = LoopNames.of(plant)
     _require_mapped(path, loop, sources)
     with open_bag(path) as bag:
@@ -57,13 +58,15 @@ def map_bag(
     times, clock_notes = times_by_one_clock(recorded)
     placed = _placed(recorded, times)
     usual = usual_step(np.diff(times[loop.outputs[0]][0]))
-    stretches = Stretches.of([channel for channels in placed.values() for channel in channels], usual)
-    put = {name: [stretches.put(channel) for channel in channels] for name, channels in placed.items()}
+    stretches = Stretches.of(list(chain.from_iterable(placed.values())), usual)
+    put = {}
+    for name, channels in placed.items():
+        put[name] = [stretches.put(channel) for channel in channels]
     signals, losses = _signals(path, loop, recorded, followed, put)
     rows = _Rows(path, loop, signals, sources)
     used, row_losses = rows.with_all_signals(longest, gaps)
     table = _table(path, rows.columns(used, longest), used, stretches)
-    run = map_samples(table, _own_map(table, given), plant, longest=longest, gaps=gaps)
+    run = map_samples(table, _own_map(table, signal_map), plant, longest=longest, gaps=gaps)
     counts = {name: channels[0].values.size for name, channels in recorded.items()}
     account = _account(counts, loop, int(used.sum()), [*losses, *row_losses])
     return run._replace(sources=sources, notes=[*run.notes, *bag_notes, *clock_notes, account])
@@ -83,9 +86,12 @@ def _recorded(
 ) -> dict[str, list[Series]]:
     """What was recorded of the channels of each signal; the bag is read once for all of them."""
     channels = {name: source.channels(name) for name, source in sources.items()}
-    all_channels = [channel for of_signal in channels.values() for channel in of_signal]
+    all_channels = list(chain.from_iterable(channels.values()))
     all_series = iter(bag.series(all_channels, progress=progress))
-    return {name: [next(all_series) for _ in of_signal] for name, of_signal in channels.items()}
+    recorded = {}
+    for name, of_signal in channels.items():
+        recorded[name] = list(islice(all_series, len(of_signal)))
+    return recorded
 
 
 def _followed(
@@ -136,8 +142,8 @@ def _signals(
         for series, series_times in zip(of_signal, times[name], strict=True):
             channel, losses[name] = rising_signal(path, name, series_times, series.values)
             channels.append(channel)
-        first, *others = channels
-        values = [first.values, *(other.interpolated(first.times) for other in others)]
+        first, *further = channels
+        values = [first.values, *(channel.interpolated(first.times) for channel in further)]
         signals[name] = TimedSignal(first.times, followed[name].value(values))
     return signals, losses[loop.outputs[0]]
 
@@ -232,20 +238,20 @@ def _table(
     return Table(path, by_clock, readings, "reading")
 
 
-def _own_map(table: Table, given: SignalMap) -> SignalMap:
+def _own_map(table: Table, signal_map: SignalMap) -> SignalMap:
     """The map of a table whose columns have the names of signals and are in the plant's units."""
     columns = {name: SignalSource((name,), "s" if name == TIME else "") for name in table.columns}
-    return SignalMap(columns, given.plant, given.period)
+    return SignalMap(columns, signal_map.plant, signal_map.period)
 
 
 def _account(counts: Mapping[str, int], loop: LoopNames, used: int, losses: Sequence[Loss]) -> str:
     """What became of the messages that were read, in a sentence."""
     output = loop.outputs[0]
     output_in_words = "the output" if output == OUTPUT else output
-    others = ", ".join(f"{count} of {name}" for name, count in counts.items() if name != output)
+    counts_beside = ", ".join(f"{count} of {name}" for name, count in counts.items() if name != output)
     left_out = ", ".join(f"{loss.messages} {loss.why}" for loss in losses if loss.messages)
     without = f" (left out: {left_out})" if left_out else ""
     return (
         f"Of {counts[output]} messages of {output_in_words}, {used} are used{without}; "
-        f"read beside them: {others}."
+        f"read beside them: {counts_beside}."
     )

@@ -13,6 +13,8 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
@@ -31,17 +33,32 @@ _HEAD: Final = 1024
 """Bytes of a variable that are searched for its flags, dimensions and name."""
 _SLACK: Final = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
-_MAX_VARIABLES: Final = 10_000
-_MAX_SHOWN: Final = 20
-"""Most names of variables in one message."""
-_MAX_VALUES: Final = 40_000_000
-"""Most numbers that are read, 320 MB: ten million samples of four signals, a day at 100 Hz."""
 
-_MATRIX = 14
-_COMPRESSED = 15
+
+@dataclass(frozen=True)
+class MatlabLimits:
+    """How much of a file is read."""
+
+    variables: int = 10_000
+    shown: int = 20
+    """Most names of variables in one message."""
+    values: int = 40_000_000
+    """Most numbers, 320 MB: ten million samples of four signals, a day at 100 Hz."""
+
+
+_MOST: Final = MatlabLimits()
+
+
 _NUMERIC: Final = range(6, 16)
 """Classes of arrays of numbers, `double` to `uint64`."""
 _COMPLEX: Final = 0x08
+
+
+class _Element(IntEnum):
+    """Kinds of parts of a file that hold a variable."""
+
+    MATRIX = 14
+    COMPRESSED = 15
 
 
 class _DamagedError(Exception):
@@ -81,9 +98,9 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
             present = list(_variables(file, order))
             wanted = [_named(path, present, name, width)] if name else _longest(path, present)
             values = sum(math.prod(variable.shape) for variable in wanted)
-            if values > _MAX_VALUES:
-                many = f"{', '.join(v.name for v in wanted[:_MAX_SHOWN])} with {values} values"
-                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MAX_VALUES}")
+            if values > _MOST.values:
+                many = f"{', '.join(v.name for v in wanted[: _MOST.shown])} with {values} values"
+                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MOST.values}")
             return {v.name: _decode(header + _unpack(file, v, order), v) for v in wanted}
         except _DamagedError as error:
             raise RecordingError(f"{path}: is truncated or damaged; copy it again ({error})") from error
@@ -92,9 +109,9 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
     wanted = next((variable for variable in present if variable.name == name), None)
     if wanted is None:
-        more = ", …" if len(present) > _MAX_SHOWN else ""
-        names = ", ".join(variable.name[:40] for variable in present[:_MAX_SHOWN]) or "nothing"
-        raise RecordingError(f"{path}: has no matrix {name}; it has {names}{more}")
+        ellipsis = ", …" if len(present) > _MOST.shown else ""
+        names = ", ".join(variable.name[:40] for variable in present[: _MOST.shown]) or "nothing"
+        raise RecordingError(f"{path}: has no matrix {name}; it has {names}{ellipsis}")
     if not wanted.real:
         raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
     if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != width:
@@ -112,56 +129,58 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
-    at = _HEADER
-    for _ in range(_MAX_VARIABLES):
-        file.seek(at)
+    position = _HEADER
+    for _ in range(_MOST.variables):
+        file.seek(position)
         tag = file.read(8)
         if not tag:
             return
         if len(tag) < 8:
             raise _DamagedError("a variable begins where the file ends")
         kind, size = struct.unpack(f"{order}II", tag)
-        if kind not in (_MATRIX, _COMPRESSED):
-            raise _DamagedError(f"no variable begins at byte {at}")
+        if kind not in (_Element.MATRIX, _Element.COMPRESSED):
+            raise _DamagedError(f"no variable begins at byte {position}")
         head = file.read(min(size, _HEAD))
         try:
-            if kind == _COMPRESSED:
+            if kind == _Element.COMPRESSED:
                 head = zlib.decompressobj().decompress(head, _HEAD)[8:]
-            yield _Variable(*_head(head, order), at, kind, size)
+            yield _Variable(*_head(head, order), position, kind, size)
         except (struct.error, zlib.error, IndexError) as error:
-            raise _DamagedError(f"the variable at byte {at} has no readable beginning: {error}") from error
-        at += 8 + size
-    raise _DamagedError(f"there are more than {_MAX_VARIABLES} variables")
+            raise _DamagedError(
+                f"the variable at byte {position} has no readable beginning: {error}"
+            ) from error
+        position += 8 + size
+    raise _DamagedError(f"there are more than {_MOST.variables} variables")
 
 
 def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
     """Name, shape, and whether it is a real array, from the beginning of a variable."""
     (flags,) = struct.unpack_from(f"{order}I", head, 8)
     real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
-    dimensions, at = _part(head, 16, order)
-    name, _ = _part(head, at, order)
+    dimensions, position = _part(head, 16, order)
+    name, _ = _part(head, position, order)
     shape = struct.unpack(f"{order}{len(dimensions) // 4}i", dimensions)
     return name.decode("latin-1"), shape, real
 
 
-def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
+def _part(head: bytes, position: int, order: str) -> tuple[bytes, int]:
     """The bytes of the part at a position, and the position of the next part."""
-    kind, size = struct.unpack_from(f"{order}II", head, at)
+    kind, size = struct.unpack_from(f"{order}II", head, position)
     if kind >> 16:  # up to four bytes are in the tag itself
-        return head[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
-    if size > len(head) - at - 8:
+        return head[position + 4 : position + 4 + min(kind >> 16, 4)], position + 8
+    if size > len(head) - position - 8:
         raise IndexError("a part is longer than the whole")
-    return head[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
+    return head[position + 8 : position + 8 + size], position + 8 + -(-size // 8) * 8
 
 
 def _unpack(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
     most = math.prod(wanted.shape) * 8 + _SLACK
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))
-    if wanted.kind == _MATRIX:
+    if wanted.kind == _Element.MATRIX:
         if wanted.size > most:
             raise _DamagedError(f"{wanted.name} is longer than its dimensions say")
-        return struct.pack(f"{order}II", _MATRIX, wanted.size) + content
+        return struct.pack(f"{order}II", _Element.MATRIX, wanted.size) + content
     try:
         unpacker = zlib.decompressobj()
         unpacked = unpacker.decompress(content, most)

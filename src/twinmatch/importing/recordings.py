@@ -64,8 +64,8 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES and path.exists():
-        what = "is a folder; give the file in it" if path.is_dir() else f"has the suffix {path.suffix!r}"
-        raise RecordingError(f"{path}: {what}; a recording has {' or '.join(_SUFFIXES)}")
+        problem = "is a folder; give the file in it" if path.is_dir() else f"has the suffix {path.suffix!r}"
+        raise RecordingError(f"{path}: {problem}; a recording has {' or '.join(_SUFFIXES)}")
     table = read_table(path, progress, matrix=(_MATRIX, len(_OF_MATRIX)))
     titles = _titles(table) if table.units else dict(zip(_OF_MATRIX, table.columns, strict=True))
     columns = {signal: table.values(title) for signal, title in titles.items()}
@@ -75,8 +75,8 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
         place=str(path),
         row=table.row_name,
     )
-    for signal, known in ((INPUT, _DRIVE), (OUTPUT, _ABOVE_ZERO), (REFERENCE, _ABOVE_ZERO)):
-        check_range(table, signal, known, columns[signal])
+    for signal, bounds in ((INPUT, _DRIVE), (OUTPUT, _ABOVE_ZERO), (REFERENCE, _ABOVE_ZERO)):
+        check_range(table, signal, bounds, columns[signal])
     return Window(columns[REFERENCE], columns[OUTPUT], columns[INPUT], period=period)
 
 

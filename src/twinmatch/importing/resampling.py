@@ -36,22 +36,30 @@ Kind = Literal["reading", "held", "set"]
 Gaps = Literal["refuse", "split"]
 """Treatment of a gap that is too long to interpolate."""
 
+
+@dataclass(frozen=True)
+class StepRules:
+    """What steps between rows mean, in usual steps: the usual step is their median."""
+
+    bridged: float = 3.0
+    """Longest step that is interpolated by default: up to two lost rows."""
+    without_loss: float = 1.5
+    """Longer steps contain lost rows."""
+    jitter: float = 0.1
+    """Largest deviation of a step between ticks."""
+    crowded: float = 0.5
+    """Shortest period that can be requested, so that most ticks have their own row."""
+    back: float = 0.1
+    """Largest share of the steps that lead back where a clock was set; more are rows out of order."""
+
+
+_STEPS: Final = StepRules()
 _ON_CLOCK: Final = 1e-3
 """A row this close to its tick, as a share of the period, is used unchanged."""
-_BRIDGED: Final = 3.0
-"""Longest step that is interpolated by default, in usual steps: up to two lost rows."""
-_USUAL: Final = 1.5
-"""Longer steps, in medians, contain lost rows."""
-_RARELY: Final = 0.1
-"""Largest share of the steps that lead back where a clock was set; more are rows out of order."""
 _FEW: Final = 20
 """Rows from which times that all repeat are rounded ones."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
-_JITTER: Final = 0.1
-"""Largest deviation of a step between ticks from the usual step, as a share of it."""
-_CROWDED: Final = 0.5
-"""Shortest period that can be requested, in usual steps, so that most ticks have their own row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +134,9 @@ def complete_rows(*columns: FloatArray) -> NDArray[np.intp]:
 
 
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
-    """Those of the rows that repeat the row before in every column: loggers write some rows twice."""
-    same = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
-    return np.asarray(rows[1:][same])
+    """The rows that repeat the row before in every column: loggers write some rows twice."""
+    is_repeated = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
+    return np.asarray(rows[1:][is_repeated])
 
 
 def resample(
@@ -173,7 +181,7 @@ def resample(
     stretches = np.split(stamps, cuts + 1)
     if period is None:
         period = _default_period(stretches, bridged_steps, usual)
-    elif not (np.isfinite(period) and period >= _CROWDED * usual):
+    elif not (np.isfinite(period) and period >= _STEPS.crowded * usual):
         raise RecordingError(
             f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
             "that"
@@ -190,15 +198,18 @@ def resample(
             piece = {name: _MOVES[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
         clocks.append(clock)
         pieces.append(piece)
+    resampled = {}
+    for name in values:
+        resampled[name] = np.concatenate([piece[name] for piece in pieces])
     return Resampled(
         time=np.concatenate(clocks),
         index=_numbers(clocks, period),
-        columns={name: np.concatenate([piece[name] for piece in pieces]) for name in values},
+        columns=resampled,
         period=period,
         rows=stamps.size,
         steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & is_bridged).tolist()),
+        bridged=tuple(np.flatnonzero((steps > _STEPS.without_loss * usual) & is_bridged).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
 
@@ -217,12 +228,12 @@ def period_of_ticks(
     _refuse_standing(time, place, row)
     steps = np.diff(time)
     usual = usual_step(steps)
-    odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
+    odd = np.flatnonzero(np.abs(steps - usual) > _STEPS.jitter * usual)
     if odd.size:
-        at = int(odd[0])
+        first = int(odd[0])
         raise RecordingError(
-            f"{place}: {steps[at]:g} s from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; split the "
-            "recording there, or import it with a map of its columns, which resamples it"
+            f"{place}: {steps[first]:g} s from {row(first)} to {row(first + 1)}, elsewhere {usual:g} s; "
+            "split the recording there, or import it with a map of its columns, which resamples it"
         )
     return rounded_period(float(steps.mean()))
 
@@ -232,7 +243,7 @@ def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
 
     `stamps` are the increasing times of at least two rows, s.
     """
-    return _BRIDGED * usual_step(np.diff(stamps)) if longest is None else longest
+    return _STEPS.bridged * usual_step(np.diff(stamps)) if longest is None else longest
 
 
 def usual_step(steps: FloatArray) -> float:
@@ -264,8 +275,8 @@ def _check(
         raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
     for name, column in values.items():
         if name not in kinds or kinds[name] not in _MOVES:
-            known = ", ".join(_MOVES)
-            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {known}")
+            allowed = ", ".join(_MOVES)
+            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {allowed}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
             raise RecordingError(msg)
@@ -284,35 +295,36 @@ def _refuse_standing(
 ) -> None:
     """Refuse time that does not advance; to `split` where it goes back, that must be rare."""
     steps = np.diff(stamps)
-    rare = split and (steps < 0).sum() <= _RARELY * steps.size
+    rare = split and (steps < 0).sum() <= _STEPS.back * steps.size
     back = np.flatnonzero(steps == 0 if rare else steps <= 0)
     if back.size:
-        at = int(back[0])
+        first = int(back[0])
         many = np.median(np.unique(stamps, return_counts=True)[1])
         if many > 1 and steps.size >= _FEW and not (steps < 0).any():
             mean = float(f"{usual_step(steps) / many:.3g}")
             raise RecordingError(
-                f"{place}: {row(at)} and {row(at + 1)} have the same time, {stamps[at]:.12g} s, and so on: "
-                f"the times have too few digits for rows about {mean:g} s apart; record more digits, or map "
-                f"no time and give --period {mean:g}"
+                f"{place}: {row(first)} and {row(first + 1)} have the same time, {stamps[first]:.12g} s, and "
+                f"so on: the times have too few digits for rows about {mean:g} s apart; record more digits, "
+                f"or map no time and give --period {mean:g}"
             )
         remedy = "sort the rows, and keep one per time"
-        if steps[at] < 0 and not split:
+        if steps[first] < 0 and not split:
             remedy = "if a clock was set back there, import it with --gaps split; otherwise sort the rows"
         raise RecordingError(
-            f"{place}: time does not advance from {stamps[at]:.12g} s in {row(at)} to "
-            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; {remedy}"
+            f"{place}: time does not advance from {stamps[first]:.12g} s in {row(first)} to "
+            f"{stamps[first + 1]:.12g} s in {row(first + 1)}; {remedy}"
         )
 
 
 def _refuse_gap(
     steps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
 ) -> None:
-    at = int(cuts[0])
-    others = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
+    first = int(cuts[0])
+    further = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
     raise RecordingError(
-        f"{place}: a gap of {steps[at]:.4g} s after {row(at)}{others}; steps of up to {limit:.4g} s are "
-        "bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge SECONDS)"
+        f"{place}: a gap of {steps[first]:.4g} s after {row(first)}{further}; steps of up to {limit:.4g} s "
+        "are bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge "
+        "SECONDS)"
     )
 
 
@@ -325,12 +337,16 @@ def _default_period(stretches: list[FloatArray], steps: FloatArray, usual: float
     mean = sum(float(stretch[-1] - stretch[0]) for stretch in stretches) / periods
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
     near = [period for period in rounded if abs(period - mean) <= ROUNDED * mean]
-    kept = (period for period in near if _all_on_clock(stretches, period))
-    return next(kept, near[0])
+    exact = (period for period in near if _all_on_clock(stretches, period))
+    return next(exact, near[0])
 
 
 def _all_on_clock(stretches: list[FloatArray], period: float) -> bool:
-    return all(on_clock for _, on_clock in (_clock(stretch, period) for stretch in stretches))
+    for stretch in stretches:
+        _, on_clock = _clock(stretch, period)
+        if not on_clock:
+            return False
+    return True
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
@@ -357,9 +373,12 @@ def held_means(
     `values` apply from `stamps` (s, increasing, shape (N,)) on, each until the next, the last for ever. The
     means are differences of the integral, which is linear between the stamps.
     """
-    edges = np.append(stamps, max(stamps[-1], begins[-1]) + np.ravel(widths)[-1])
+    last_end = max(stamps[-1], begins[-1]) + np.ravel(widths)[-1]
+    edges = np.append(stamps, last_end)
     integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
-    means = (np.interp(ends, edges, integral) - np.interp(begins, edges, integral)) / widths
+    until_end = np.interp(ends, edges, integral)
+    until_begin = np.interp(begins, edges, integral)
+    means = (until_end - until_begin) / widths
     # Rounding errors of the differences must not exceed a limit of the input.
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 

@@ -30,8 +30,6 @@ from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of,
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
-MAX_BYTES: Final = 500_000_000
-"""Largest file; anything larger is not a recording of a loop, or should be split before the import."""
 _BLOCK: Final = 4096
 """Lines that are read at once."""
 _HEAD: Final = 53
@@ -41,13 +39,24 @@ _WORDS: Final = {
     **dict.fromkeys(("false", "off", "no"), 0.0),
     **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-"), math.nan),
 }
-MAX_COLUMNS: Final = 2000
-"""Most columns of a table; a file with more has its samples in columns, or is not a recording of a loop."""
-MAX_TITLE: Final = 500
-"""Longest title of a column, characters."""
 _TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
 _MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 """Byte-order marks of encodings other than UTF-8."""
+
+
+@dataclass(frozen=True)
+class TableLimits:
+    """How large a table may be; anything larger is not a recording of a loop."""
+
+    size: int = 500_000_000
+    """Of the file, bytes; a longer recording is to be split before the import."""
+    columns: int = 2000
+    """A file with more has its samples in columns."""
+    title: int = 500
+    """Longest title of a column, characters."""
+
+
+LIMITS: Final = TableLimits()
 _ARCHIVE: Final = b"PK\x03\x04"
 _WESTERN: Final = "cp1252"
 """What Windows programs write where they do not write UTF-8: `°` and `µ` are single bytes."""
@@ -159,8 +168,8 @@ def read_table(
     try:
         with open_regular(path) as file:
             first = file.read(4)
-            if os.fstat(file.fileno()).st_size > MAX_BYTES:
-                msg = f"{path}: has more than {MAX_BYTES / 1e6:.0f} MB; split it into parts first"
+            if os.fstat(file.fileno()).st_size > LIMITS.size:
+                msg = f"{path}: has more than {LIMITS.size / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
             return _read_csv(path, first, progress)
@@ -264,13 +273,13 @@ class _Cells:
     def rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
         """Take rows of any cells, each with its place."""
         for place, cells in rows:
-            for column, others, text in zip(self._numbers, self.texts, cells, strict=True):
+            for column, texts, text in zip(self._numbers, self.texts, cells, strict=True):
                 try:
                     column.append(float(text))
                 except ValueError:
                     value = number(text, self._decimal)
                     if value is None:
-                        others[len(self.places)] = text
+                        texts[len(self.places)] = text
                     column.append(math.nan if value is None else value)
             self.places.append(place)
 
@@ -308,13 +317,15 @@ class _Cells:
 
 
 def _check_titles(path: Path, titles: Sequence[str]) -> None:
-    if len(titles) > MAX_COLUMNS:
+    if len(titles) > LIMITS.columns:
         raise RecordingError(
-            f"{path}: has {len(titles)} columns, more than {MAX_COLUMNS}; give each sample its own row, or "
-            "only the columns of one plant"
+            f"{path}: has {len(titles)} columns, more than {LIMITS.columns}; give each sample its own row, "
+            "or only the columns of one plant"
         )
-    if (longest := max(map(len, titles), default=0)) > MAX_TITLE:
-        raise RecordingError(f"{path}: has a column title of {longest} characters; give at most {MAX_TITLE}")
+    if (longest := max(map(len, titles), default=0)) > LIMITS.title:
+        raise RecordingError(
+            f"{path}: has a column title of {longest} characters; give at most {LIMITS.title}"
+        )
 
 
 def _rows(
@@ -361,9 +372,9 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
     if all(number(next_line[k], ",") is None for k in stated):
         return titles, 0
     with_units = []
-    for title, unit, known in zip(titles, units, is_unit, strict=True):
+    for title, unit, is_known in zip(titles, units, is_unit, strict=True):
         has_unit = bool(split_title(title)[1])
-        with_units.append(f"{title} ({unit})" if known and not has_unit else title)
+        with_units.append(f"{title} ({unit})" if is_known and not has_unit else title)
     return with_units, 1
 
 

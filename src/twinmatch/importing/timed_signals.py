@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -15,12 +16,20 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["Hole", "Loss", "TimedSignal", "rising_signal"]
 
-_FEWEST: Final = 10
-"""Fewest messages that can be called periodic."""
-_PERIODIC_SHARE: Final = 0.9
-"""Share of the steps of a periodic signal that are no longer than usual."""
-_REGULAR: Final = 1.5
-"""Longer steps, in usual ones, are not."""
+
+@dataclass(frozen=True)
+class Periodic:
+    """Which signals are periodic: nine of ten steps are regular."""
+
+    fewest: int = 10
+    """Fewest messages that can be called periodic."""
+    share: float = 0.9
+    """Of the steps that are regular."""
+    regular: float = 1.5
+    """Longest regular step, in usual ones."""
+
+
+_PERIODIC: Final = Periodic()
 
 
 class Loss(NamedTuple):
@@ -72,7 +81,7 @@ class TimedSignal(NamedTuple):
         times of the readings, s.
         """
         steps = np.diff(self.times)
-        if self.times.size < _FEWEST or not self._is_periodic(steps, rows):
+        if self.times.size < _PERIODIC.fewest or not self._is_periodic(steps, rows):
             return
         usual = max(usual_step(steps), usual_step(np.diff(rows)))
         limit = bridged_up_to(np.array([0.0, usual]), longest)
@@ -82,8 +91,8 @@ class TimedSignal(NamedTuple):
             yield Hole(float(self.times[k]) + usual, float(next_times[k]))
 
     def _is_periodic(self, steps: FloatArray, rows: FloatArray) -> bool:
-        longest_regular = max(_REGULAR * usual_step(steps), bridged_up_to(rows))
-        return bool(np.quantile(steps, _PERIODIC_SHARE) <= longest_regular)
+        longest_regular = max(_PERIODIC.regular * usual_step(steps), bridged_up_to(rows))
+        return bool(np.quantile(steps, _PERIODIC.share) <= longest_regular)
 
 
 def rising_signal(

@@ -83,11 +83,15 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         RecordingError: a cell is not a time, or the unit is not one of time.
     """
     texts = table.texts.get(title)
-    if texts and not np.isfinite(table.columns[title][: min(texts)]).any():
-        order = order_of(texts.values()) if is_local(next(iter(texts.values()))) else ""
-        return _since(_dates(table, title, texts, order))._replace(order=order)
+    if texts:
+        before_first_text = table.columns[title][: min(texts)]
+        if not np.isfinite(before_first_text).any():
+            first_text = next(iter(texts.values()))
+            order = order_of(texts.values()) if is_local(first_text) else ""
+            return _since(_dates(table, title, texts, order))._replace(order=order)
     values = table.values(title) * scale
-    size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    sizes = np.abs(values[np.isfinite(values)])
+    size = float(np.max(sizes, initial=0.0))
     unit = unit or table.unit(title) or unit_in(title)
     if unit:
         per_second = _per_second(table, title, unit)
@@ -122,16 +126,16 @@ def unit_in(title: str) -> str:
 
 def _may_be_days(values: FloatArray) -> bool:
     """Whether all are days of a spreadsheet from 2000 to 2100."""
-    known = values[np.isfinite(values)]
-    return bool(known.size) and bool((known >= _SERIAL[0]).all() and (known < _SERIAL[1]).all())
+    finite = values[np.isfinite(values)]
+    return bool(finite.size) and bool((finite >= _SERIAL[0]).all() and (finite < _SERIAL[1]).all())
 
 
 def _require_no_days(table: Table, title: str, values: FloatArray) -> None:
-    known = values[np.isfinite(values)]
-    if known.size > 1 and _may_be_days(values) and np.median(np.abs(np.diff(known))) < _DENSE:
+    finite = values[np.isfinite(values)]
+    if finite.size > 1 and _may_be_days(values) and np.median(np.abs(np.diff(finite))) < _DENSE:
         raise RecordingError(
-            f"{table.path}: {title!r} goes from {known.min():g} to {known.max():g} in small steps: days of a "
-            f"spreadsheet, or seconds? Write time='{title}; unit=d' or time='{title}; unit=s'"
+            f"{table.path}: {title!r} goes from {finite.min():g} to {finite.max():g} in small steps: days of "
+            f"a spreadsheet, or seconds? Write time='{title}; unit=d' or time='{title}; unit=s'"
         )
 
 
@@ -197,7 +201,9 @@ def in_order(text: str, order: str) -> float | None:
     day, month = (first, second) if order == DAY_FIRST else (second, first)
     if half is not None and not 1 <= int(hour) <= 12:
         return None
-    hours = int(hour) if half is None else int(hour) % 12 + (12 if half[0] in "pP" else 0)
+    hours = int(hour)
+    if half is not None:
+        hours = hours % 12 + (12 if half[0] in "pP" else 0)
     try:
         stamp = datetime(
             int(year) + (2000 if len(year) == 2 else 0),
@@ -220,8 +226,8 @@ def order_of(texts: Iterable[str]) -> str:
     if not dates or "." in dates[0][:3]:
         return DAY_FIRST
     usual = MONTH_FIRST if dates[0][-1] in "mM." else DAY_FIRST
-    other = DAY_FIRST if usual == MONTH_FIRST else MONTH_FIRST
-    return min((usual, other), key=lambda order: _longest_step(dates, order))  # of equal ones the first
+    unusual = DAY_FIRST if usual == MONTH_FIRST else MONTH_FIRST
+    return min((usual, unusual), key=lambda order: _longest_step(dates, order))  # of equal ones the first
 
 
 def _longest_step(texts: Sequence[str], order: str) -> float:

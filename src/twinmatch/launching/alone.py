@@ -14,7 +14,7 @@ from typing import Any, Final
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.ending import end_in_order
-from twinmatch.launching.judging import LEAVE, Judged, Judging
+from twinmatch.launching.judging import Judged, Judging
 from twinmatch.launching.shown import Shown
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
@@ -109,7 +109,7 @@ class Alone:
         Raises:
             TwinmatchError: one of the parts cannot be used.
         """
-        given = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
+        candidates = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
         opened = source_of(plan.values)
         if opened is None:
             raise SamplingError(
@@ -118,7 +118,7 @@ class Alone:
             )
         self._settings = plan.settings
         try:
-            self._open(plan, opened, given)
+            self._open(plan, opened, candidates)
         except BaseException:
             self._close()
             raise
@@ -126,11 +126,11 @@ class Alone:
         if plan.values["paced_by"] == TIMER:
             self._every[self._listener.tick] = plan.settings.period
         self._tally = Tally()
-        self._taken = self._judged = self._missed = 0
+        self._sampled = self._judged = self._missed = 0
         self._troubles: dict[str, str] = {}
         self._ended = False
 
-    def _open(self, plan: AlonePlan, opened: Open, given: Sequence[Candidate]) -> None:
+    def _open(self, plan: AlonePlan, opened: Open, candidates: Sequence[Candidate]) -> None:
         self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
         for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
             pass
@@ -138,7 +138,7 @@ class Alone:
         self._listener.open(opened)
         self._shown = Shown(plan.settings, plan.page, plan.tell)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
-        self._judging = Judging(plan.settings, given, shown=self._shown.wanted)
+        self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._spool = SampleSpool()
 
     def run(self) -> None:
@@ -152,8 +152,8 @@ class Alone:
             self._view.open()
             while not self._ended:
                 for call, interval in self._every.items():
-                    if (now := time.monotonic()) >= due[call]:
-                        due[call] = max(due[call] + interval, now)
+                    if (wall_now := time.monotonic()) >= due[call]:
+                        due[call] = max(due[call] + interval, wall_now)
                         call()
                 self._take_samples()
                 self._take_judged()
@@ -182,7 +182,7 @@ class Alone:
         listener = self._listener
         missed = self._listener.sampler.grid.missed
         for name in listener.channels:
-            text = listener.trouble(name) if self._taken or listener.late else ""
+            text = listener.trouble(name) if self._sampled or listener.late else ""
             self._shown.trouble(name, text)
             kind = kind_of(text)
             if kind != self._troubles.get(name, ""):
@@ -195,7 +195,7 @@ class Alone:
 
     def _take_samples(self) -> None:
         for sample in self._listener.samples():
-            self._taken += 1
+            self._sampled += 1
             if self._session is not None:
                 self._session.sample(sample)
             self._judging.push(sample)
@@ -223,12 +223,12 @@ class Alone:
 
     def _finish(self) -> None:
         """Wait for what is being judged, and summarise."""
-        until = time.monotonic() + LEAVE
-        while self._judged < self._taken and time.monotonic() < until and self._judging.failure is None:
+        until = time.monotonic() + Judging.LEAVE
+        while self._judged < self._sampled and time.monotonic() < until and self._judging.failure is None:
             self._take_judged()
             time.sleep(self._listener.interval)
         self._view.close()
-        self._view.say(f"ended: {self._taken} samples, {self._tally.verdicts} verdicts")
+        self._view.say(f"ended: {self._sampled} samples, {self._tally.verdicts} verdicts")
         if len(self._spool):
             spool = self._spool
             period = self._settings.period

@@ -23,6 +23,7 @@ import threading
 import time
 import warnings
 from collections.abc import Mapping
+from enum import IntEnum
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -55,10 +56,15 @@ _MOMENT: Final = 0.0005
 """Interval between two looks at who the parent is, s."""
 _ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """The matrices are small, and a process with threads cannot be forked safely."""
-_PR_SET_PDEATHSIG: Final = 1
-_PR_SET_NAME: Final = 15
-_PR_SET_CHILD_SUBREAPER: Final = 36
 _LIBC: Final = ctypes.CDLL(None, use_errno=True)
+
+
+class _Prctl(IntEnum):
+    """What `prctl` sets of a process; the numbers are those of linux/prctl.h."""
+
+    DEATH_SIGNAL_OF_PARENT = 1
+    NAME = 15
+    CHILD_SUBREAPER = 36
 
 
 class Forked:
@@ -140,12 +146,12 @@ class ForkServer:
             if self._process.poll() is not None:
                 self._socket.close()
                 self._begin()
-            _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
+            _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
                 answer = self._socket.recv(_MAX_LINE)
             finally:
-                _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)
+                _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 0)
         if not answer:
             raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
         if not int(answer):
@@ -197,7 +203,7 @@ def _become_child_of(parent: int) -> bool:
     between = os.getppid()
     while os.getppid() == between != parent:
         time.sleep(_MOMENT)
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    _LIBC.prctl(_Prctl.DEATH_SIGNAL_OF_PARENT, signal.SIGTERM)
     return os.getppid() == parent  # unless it died before the line above
 
 
@@ -211,7 +217,7 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
     os.environ.update(environment)
     os.chdir(folder)
     name = words[2] if words[0] == "-m" and len(words) > 2 else words[0]
-    _LIBC.prctl(_PR_SET_NAME, Path(name).name.encode()[:15])
+    _LIBC.prctl(_Prctl.NAME, Path(name).name.encode()[:15])
     return words
 
 

@@ -15,11 +15,6 @@ from twinmatch.links import Background
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, MirrorState, Outcome, Snapshot, Twin, TwinSettings
 
-_WAIT: Final = 0.2
-"""Longest wait for a sample, s."""
-LEAVE: Final = 5.0
-"""Longest time to judge at the end what has been sampled, s."""
-
 
 class Judged(NamedTuple):
     """A sample and what the twin made of it."""
@@ -36,13 +31,18 @@ class Judged(NamedTuple):
 class Judging(Background):
     """A twin that takes samples in a thread."""
 
-    def __init__(self, settings: TwinSettings, given: Sequence[Candidate], *, shown: bool) -> None:
+    _WAIT: Final = 0.2
+    """Longest wait for a sample, s."""
+    LEAVE: Final = 5.0
+    """Longest time to judge at the end what has been sampled, s."""
+
+    def __init__(self, settings: TwinSettings, candidates: Sequence[Candidate], *, shown: bool) -> None:
         """Start. `shown`: whether forecasts are wanted too."""
         self.judged: SimpleQueue[Judged] = SimpleQueue()
         self.snapshot = Snapshot()
         """The newest, from which questions are answered; only where forecasts are wanted."""
         self._samples: SimpleQueue[Sample] = SimpleQueue()
-        self._twin = Twin(settings, given)
+        self._twin = Twin(settings, candidates)
         self._shown = shown
         self._mirror = Mirror(
             settings.start,
@@ -52,7 +52,7 @@ class Judging(Background):
             scale=settings.forecasts.scale,
             health=settings.health,
         )
-        super().__init__("twin", self._run, LEAVE)
+        super().__init__("twin", self._run, self.LEAVE)
         self.start()
 
     def push(self, sample: Sample) -> None:
@@ -62,17 +62,17 @@ class Judging(Background):
     def _run(self) -> None:
         while not self.ending.is_set():
             try:
-                sample = self._samples.get(timeout=_WAIT)
+                sample = self._samples.get(timeout=self._WAIT)
             except Empty:
                 continue
             self.judged.put(self._judge(sample))
 
     def _judge(self, sample: Sample) -> Judged:
         outcome = self._twin.push(sample)
-        known = self._twin.discriminator.stamps
-        made = {verdict.sample for verdict in outcome.verdicts}
-        made |= {outcome.match.sample} if outcome.match is not None else set()
-        stamps = {index: known.get(index, 0) for index in made}
+        stamp_of = self._twin.discriminator.stamps
+        judged_samples = {verdict.sample for verdict in outcome.verdicts}
+        judged_samples |= {outcome.match.sample} if outcome.match is not None else set()
+        stamps = {index: stamp_of.get(index, 0) for index in judged_samples}
         mirror = None
         forecast = None
         with without_what_fails("a sample could not be shown", self._twin.discriminator.defects):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -45,23 +45,16 @@ EXIT_LOST = 3
 READERS = "twin_simulator discriminator keeper live_watch"
 """Nodes that must receive every sample; the recorder too, if there is one."""
 
-DISCOVERY = 2.0
-"""Time to discover a graph that is already running, s."""
-SETTLE = 180.0
-"""Longest wait for the verdicts still due when the profile has ended, s."""
-VIRTUAL_RIG_START = 90.0
-"""Longest wait for the virtual rig, s; it may have to build firmware and board first."""
-RESTARTS = 12
-"""Most restarts of a process within `SPAN`: one that crashes on its input will do so again."""
 SPAN = 600.0
-"""s"""
-MAX_WAITING = 100_000
-"""Most samples that wait for verdicts; a discriminator that is so far behind is lost."""
+"""Time in which restarts, and errors that are shown, are counted, wall s."""
 
 
 @dataclass
 class Live:
     """A live run and its results."""
+
+    MAX_WAITING: ClassVar = 100_000
+    """Most samples that wait for verdicts; a discriminator that is so far behind is lost."""
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
@@ -90,14 +83,14 @@ class Live:
         self.received += 1
         self.newest = sample
         self.waiting.append(sample)
-        self.settle(lambda _: len(self.waiting) > MAX_WAITING)
+        self.settle(lambda _: len(self.waiting) > self.MAX_WAITING)
 
     def settle(self, judged: Callable[[int], bool]) -> None:
         """Put samples on the spool as the discriminator settled them: once it has `judged` all before them,
         as long as its verdicts may still decide how to."""
         while self.waiting and (not self.door.learning or judged(self.waiting[0].index - 1)):
-            for one in filter(attrgetter("usable"), self.door.take(self.waiting.popleft())):
-                self.samples.push(one)
+            for sample in filter(attrgetter("usable"), self.door.take(self.waiting.popleft())):
+                self.samples.push(sample)
 
     def longest(self, period: float) -> tuple[Window, int]:
         """The longest stretch between gaps that are too long to be filled, for a sample time (s); their
@@ -143,20 +136,19 @@ def _run_live(live: Live) -> int:
     return code
 
 
-MAX_LINES = 10
-"""Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
-MAX_REPEATS = 2
-"""Most of these that say the same: one that comes and goes must not hide another."""
-MAX_TEXT = 400
-"""Longest error shown, characters."""
-
-
 class Errors:
     """Errors on /diagnostics, each shown once while it stands, even if the figures in it change.
 
     Of a report that has several, only those are shown that no node has standing: a message that several
     nodes refuse is one error.
     """
+
+    MAX_LINES: Final = 10
+    """Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
+    MAX_REPEATS: Final = 2
+    """Most of these that say the same: one that comes and goes must not hide another."""
+    MAX_TEXT: Final = 400
+    """Longest error shown, characters."""
 
     def __init__(self, say: Callable[[str, str], None]) -> None:
         """Show lines, with their style, by `say`."""
@@ -177,26 +169,28 @@ class Errors:
             if status.name not in self._standing and len(self._standing) >= MAX_NODES:
                 continue
             texts = {kind_of(text): text for text in re.split("; (?=refused: )", status.message)}
-            known = frozenset[str]().union(*self._standing.values())
+            standing_kinds = frozenset[str]().union(*self._standing.values())
             self._standing[status.name] = frozenset(texts)
-            new = [text for kind, text in texts.items() if kind not in known]
+            new = [text for kind, text in texts.items() if kind not in standing_kinds]
             if new:
                 self._show(status.name, "; ".join(new), "red")
 
     def _show(self, name: str, text: str, style: str) -> None:
-        now = time.monotonic()
-        for old in [key for key, lines in self._shown.items() if now - lines[-1][0] > SPAN]:
-            del self._shown[old]
+        wall_now = time.monotonic()
+        for part, lines in list(self._shown.items()):
+            newest, _ = lines[-1]
+            if wall_now - newest > SPAN:
+                del self._shown[part]
         if name not in self._shown and len(self._shown) >= 2 * MAX_NODES:
             return
-        shown = self._shown.setdefault(name, deque(maxlen=MAX_LINES))
-        kind = kind_of(text)[:MAX_TEXT]
-        repeats = sum(before == kind and now - at < SPAN for at, before in shown)
-        if repeats >= MAX_REPEATS or (len(shown) == MAX_LINES and now - shown[0][0] < SPAN):
+        shown = self._shown.setdefault(name, deque(maxlen=self.MAX_LINES))
+        recent = [kind for shown_at, kind in shown if wall_now - shown_at < SPAN]
+        kind = kind_of(text)[: self.MAX_TEXT]
+        if len(recent) == self.MAX_LINES or recent.count(kind) >= self.MAX_REPEATS:
             return
-        shown.append((now, kind))
-        text = text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}…"
-        self._say(one_line(f"{name[:MAX_TEXT]}: {text}"), style)
+        shown.append((wall_now, kind))
+        text = text if len(text) <= self.MAX_TEXT else f"{text[: self.MAX_TEXT]}…"
+        self._say(one_line(f"{name[: self.MAX_TEXT]}: {text}"), style)
 
 
 _SOURCES: Final = {"rig": "profile", "virtual_rig": "virtual rig"}
@@ -204,6 +198,15 @@ _SOURCES: Final = {"rig": "profile", "virtual_rig": "virtual rig"}
 
 
 class _LiveRun(Supervised):
+    DISCOVERY: Final = 2.0
+    """Time to discover a graph that is already running, s."""
+    SETTLE: Final = 180.0
+    """Longest wait for the verdicts still due when the profile has ended, s."""
+    VIRTUAL_RIG_START: Final = 90.0
+    """Longest wait for the virtual rig, s; it may have to build firmware and board first."""
+    RESTARTS: Final = 12
+    """Most restarts of a process within `SPAN`: one that crashes on its input will do so again."""
+
     NAME = "live_watch"
     STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
     """Heat off first; the recorder outlives what it records."""
@@ -230,7 +233,7 @@ class _LiveRun(Supervised):
             self.processes.start_module("virtual_rig", "twinmatch.cli", *arguments)
         self._refuse_second_graph(node)
         if plan.virtual is not None:
-            self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)
+            self.processes.wait_for_line("virtual_rig", self._ready, self.VIRTUAL_RIG_START)
             if plan.simulated:
                 self._start("plant_clock")
         self._start("twin")
@@ -252,7 +255,7 @@ class _LiveRun(Supervised):
             return None
         code, live.ending = self._over
         judged = live.newest is None or self.settled.complete(live.newest.index, live.verdicts.verdicts)
-        return None if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE else code
+        return None if code == 0 and not judged and time.monotonic() - self._over_at < self.SETTLE else code
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
@@ -277,7 +280,7 @@ class _LiveRun(Supervised):
 
     def _refuse_second_graph(self, node: Watch) -> None:
         """Refuse to run beside another controller on the same topics: both would drive the plate."""
-        time.sleep(DISCOVERY)
+        time.sleep(self.DISCOVERY)
         if node.count_publishers("plant/sample"):
             raise LaunchError(
                 f"live: {node.resolve_topic_name('plant/sample')} already has a publisher; end that "
@@ -295,11 +298,12 @@ class _LiveRun(Supervised):
                 text = "nothing is recorded any longer; the plant is driven on (--keep-driving)"
                 self.view.say(text, "red")
                 continue
-            now = time.monotonic()
-            before = [at for at in self._restarts.get(name, []) if now - at < SPAN]
-            if len(before) >= RESTARTS:
-                return EXIT_LOST, f"{name} was lost (code {code}) after {RESTARTS} restarts in {SPAN:g} s"
-            self._restarts[name] = [*before, now]
+            wall_now = time.monotonic()
+            before = [restarted for restarted in self._restarts.get(name, []) if wall_now - restarted < SPAN]
+            if len(before) >= self.RESTARTS:
+                reason = f"{name} was lost (code {code}) after {self.RESTARTS} restarts in {SPAN:g} s"
+                return EXIT_LOST, reason
+            self._restarts[name] = [*before, wall_now]
             self.view.say(f"{name} ended with code {code}; restarting it", "yellow")
             self._start(name)
         return None
@@ -334,8 +338,8 @@ class _LiveRun(Supervised):
         if name == "twin":
             return plan.twin_arguments()
         if name == "recorder":
-            first, *others = self._live.sessions
-            return plan.recorder_arguments(self._live.sessions[-1], first.name if others else "")
+            first, *later_sessions = self._live.sessions
+            return plan.recorder_arguments(self._live.sessions[-1], first.name if later_sessions else "")
         readers = READERS if plan.session is None or plan.keep_driving else f"{READERS} recorder"
         return [*plan.rig_arguments(self._addresses), *plan.wait_for(readers)]
 

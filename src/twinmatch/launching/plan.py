@@ -162,8 +162,8 @@ class LivePlan:
         """ROS arguments of the twin's nodes."""
         files = () if self.twin_config is None else (self.twin_config,)
         nodes = () if self.candidates is None else ("discriminator", "matcher")
-        given = {f"{node}:candidates": self.candidates for node in nodes}
-        return ros_arguments({**given, **self._time()}, *files)
+        candidate_files = {f"{node}:candidates": self.candidates for node in nodes}
+        return ros_arguments({**candidate_files, **self._time()}, *files)
 
     def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:
         """ROS arguments of the recorder of a session, which may continue another one."""
@@ -217,7 +217,7 @@ class AttachPlan(LivePlan):
 
 def attach_plan(
     folder: Path,
-    said: SignalMap,
+    given_map: SignalMap,
     *,
     config: Path | None = None,
     twin_config: Path | None = None,
@@ -229,7 +229,7 @@ def attach_plan(
 
     Args:
         folder: where the files are written.
-        said: plant, sampling period and map of the command line; they override the file.
+        given_map: plant, sampling period and map of the command line; they override the file.
         config: parameter file with a section `sampler`, and perhaps `recorder`; `use_sim_time` of the sampler
             is that of all nodes.
         twin_config: parameter file of the twin; plant and sampling period default to those of the sampler.
@@ -240,7 +240,7 @@ def attach_plan(
     Raises:
         TwinmatchError: something does not exist, or parameters contradict each other.
     """
-    values, sim_time = sampler_values(config, said, source)
+    values, sim_time = sampler_values(config, given_map, source)
     settings = twin_beside(values, twin_config)
     plant = settings.plant
     twin_values = values_of(settings)

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Final
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.launching.forking import Forked, fork_server
@@ -24,13 +25,9 @@ PORT = 5006
 """Usual port of the live page."""
 TELL = "let the page publish what it shows to an MQTT broker, such as mqtt://HOST or mqtts://USER@HOST"
 """Help of `--tell`."""
-POLL = 0.2
-"""Interval at which the page is watched once everything else has ended, s."""
 
 EXIT_NOT_RECORDED = 1
 """Exit code if the session could not be written to the end, and the run was not to continue without it."""
-PATIENCE = 12.0
-"""Time between SIGTERM and SIGKILL, s."""
 
 
 class LaunchError(TwinmatchError):
@@ -39,6 +36,9 @@ class LaunchError(TwinmatchError):
 
 class Processes:
     """The children of one launch script; each line that one prints is shown with its name as prefix."""
+
+    PATIENCE: Final = 12.0
+    """Time between SIGTERM and SIGKILL, s."""
 
     def __init__(self, show: Callable[[str], None] = print) -> None:
         """Start without children; their output goes to `show`, line by line."""
@@ -53,17 +53,17 @@ class Processes:
         Raises:
             LaunchError: no process can be made.
         """
-        mine, its = os.pipe()
+        reading_end, writing_end = os.pipe()
         words = ("-m", module, *arguments)
         environment = {**os.environ, **self.environment}
         try:
-            process = fork_server().start(*words, output=its, environment=environment)
+            process = fork_server().start(*words, output=writing_end, environment=environment)
         except OSError as error:
-            os.close(mine)
+            os.close(reading_end)
             raise LaunchError(f"{name}: cannot be started ({error.strerror})") from error
         finally:
-            os.close(its)
-        reader = threading.Thread(target=self._pass_on, args=(name, mine), daemon=True)
+            os.close(writing_end)
+        reader = threading.Thread(target=self._pass_on, args=(name, reading_end), daemon=True)
         reader.start()
         self._children[name] = process, reader
 
@@ -83,18 +83,19 @@ class Processes:
         Returns:
             The names of those that had to be killed.
         """
-        rest = [name for name in reversed(self._children) if name not in order]
+        in_order = [name for name in order if name in self._children]
+        in_order += [name for name in reversed(self._children) if name not in order]
         killed = []
-        for name in [*(n for n in order if n in self._children), *rest]:
+        for name in in_order:
             process, reader = self._children[name]
             process.send_signal(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
             try:
-                process.wait(PATIENCE)
+                process.wait(self.PATIENCE)
             except subprocess.TimeoutExpired:
                 process.kill()
                 killed.append(name)
                 with suppress(subprocess.TimeoutExpired):
-                    process.wait(PATIENCE)
+                    process.wait(self.PATIENCE)
             reader.join(1.0)  # its last lines have then been shown
         return killed
 
@@ -119,6 +120,9 @@ class Processes:
 
 class Page:
     """The page's process; without a port there is none. Losing it affects nothing else."""
+
+    POLL: Final = 0.2
+    """Interval at which the page is watched once everything else has ended, s."""
 
     def __init__(
         self,
@@ -162,7 +166,7 @@ class Page:
         self._show("the page stays open until Ctrl-C")
         try:
             while not self._processes.ended:
-                time.sleep(POLL)
+                time.sleep(self.POLL)
         except KeyboardInterrupt:
             return
 

@@ -6,6 +6,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 from twinmatch.comparing import Verdict
 from twinmatch.errors import EXIT_INTERRUPTED
@@ -24,10 +25,6 @@ from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 READERS = "twin_simulator discriminator keeper"
 """Nodes that must receive every sample."""
-RESTARTS = 3
-"""Most restarts of a killed twin; it catches up on what it missed."""
-STALLED = 120.0
-"""Longest wait for the next verdict after the last sample was played, s."""
 
 
 @dataclass
@@ -82,6 +79,11 @@ def _playable(session: Session, folder: Path) -> Path:
 
 
 class _ReplayRun(Supervised):
+    RESTARTS: Final = 3
+    """Most restarts of a killed twin; it catches up on what it missed."""
+    STALLED: Final = 120.0
+    """Longest wait for the next verdict after the last sample was played, s."""
+
     NAME = "replay_watch"
     STOP_ORDER = ("player", "twin")
 
@@ -131,9 +133,9 @@ class _ReplayRun(Supervised):
             self.view.advance(len(samples))
             replay.whole = True
             return 0
-        if time.monotonic() - self._changed > STALLED:
+        if time.monotonic() - self._changed > self.STALLED:
             raise LaunchError(
-                f"replay: no verdict for {STALLED:g} s after {len(replay.verdicts)} verdicts, although "
+                f"replay: no verdict for {self.STALLED:g} s after {len(replay.verdicts)} verdicts, although "
                 "samples are still to be judged; look at /diagnostics"
             )
         return None
@@ -146,7 +148,7 @@ class _ReplayRun(Supervised):
         """
         ended = self.processes.ended
         for name, code in ended.items():
-            if name == "twin" and code < 0 and self._restarts < RESTARTS and "player" not in ended:
+            if name == "twin" and code < 0 and self._restarts < self.RESTARTS and "player" not in ended:
                 self._restarts += 1
                 self.view.say(f"twin ended with code {code}; restarting it", "yellow")
                 self._start_twin()

@@ -65,7 +65,9 @@ class Shown:
         self.wanted = port is not None
         """Whether anybody looks."""
         self.state = DashboardState(described=description_of(settings.plant))
-        self._settings, self._asked, self._summed_up = settings, Asked(self.state, settings), 0
+        self._settings = settings
+        self._asked = Asked(self.state, settings)
+        self._summed_up = 0
         self._server: PageServer | None = None
         self._outlet: MqttOutlet | None = None
         try:

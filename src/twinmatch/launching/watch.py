@@ -97,7 +97,7 @@ class Watch(TwinmatchNode):
 
     CLOSING: ClassVar = 90
     POLL: ClassVar = 0.1
-    """s"""
+    """Interval at which the processes are looked at, s."""
     supervised: ClassVar[Supervised]
 
     def open(self) -> None:

@@ -26,8 +26,9 @@ import select
 import signal
 import sys
 import termios
+import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import serial
 import tclab
@@ -40,15 +41,18 @@ _BAUDS = (115200, 9600)
 """Firmware before 1.2.3 uses the lower rate."""
 _ANSWER = 0.25
 """Longest wait for an answer, s; a kit gives it within 0.03 s."""
-_TRIES = 2
 _POSSIBLE = (-60.0, 300.0)
 """Range of its 10-bit converter, °C."""
-_ROUNDED = 1.0
-"""Rounding of the command, %: firmware before 1.4 takes whole percents."""
 
 
 class Kit(tclab.TCLab):
     """The package's class on a given port; the original constructor only searches the USB bus."""
+
+    _RESTART: Final = 2.0
+    """Time in which a board restarts, s."""
+    _TRIES: Final = 2
+    _ROUNDED: Final = 1.0
+    """Rounding of the command, %: firmware before 1.4 takes whole percents."""
 
     def __init__(self, port: str, patience: float = _ANSWER) -> None:
         self.port = port
@@ -61,7 +65,6 @@ class Kit(tclab.TCLab):
             except serial.SerialException as error:
                 raise KitAbsentError(f"kit at {port}: the port cannot be opened: {error}") from error
             except (ValueError, OSError):
-                package._connected = False  # as the package's own constructor does before it retries
                 with contextlib.suppress(OSError):
                     self.sp.close()
         else:
@@ -77,17 +80,31 @@ class Kit(tclab.TCLab):
             )
         self.off()  # the package does so with heater 1 only
 
-    def drive(self, power: float, other: float) -> KitReading:
+    def connect(self, baud: int) -> None:
+        """Open the port, which restarts the board, and switch heater 1 off, as the package does.
+
+        The package's own method takes a failed attempt for an open connection, and refuses the next one.
+
+        Raises:
+            ValueError: the answer is not that of a kit.
+            OSError: the port cannot be opened or used.
+        """
+        self.sp = serial.Serial(port=self.port, baudrate=baud, timeout=self._RESTART)
+        time.sleep(self._RESTART)
+        self.Q1(0)
+        self.baud = baud
+
+    def drive(self, power: float, second_power: float) -> KitReading:
         """Set both heaters, %, and read both sensors.
 
         Raises:
             KitError: a command is not within 0 to 100, or an answer is invalid.
             OSError: the port is gone.
         """
-        for value in (power, other):
+        for value in (power, second_power):
             if not 0.0 <= value <= 100.0:  # true for NaN too
                 raise KitError(f"kit: the command is {value}; it must be within 0 to 100 %")
-        set_to = [self._heater(name, value) for name, value in (("Q1", power), ("Q2", other))]
+        set_to = (self._heater("Q1", power), self._heater("Q2", second_power))
         return KitReading(self._temperature("T1"), self._temperature("T2"), *set_to)
 
     def off(self) -> None:
@@ -101,7 +118,7 @@ class Kit(tclab.TCLab):
 
     def _ask(self, words: str, kind: Callable[[str], Any] = str) -> Any:
         """The answer to a request, which is retried once."""
-        for _ in range(_TRIES):
+        for _ in range(self._TRIES):
             try:
                 self.sp.reset_input_buffer()  # drop late answers and those to other programs
             except termios.error as error:  # pyserial passes it on, and it is not an OSError
@@ -118,7 +135,7 @@ class Kit(tclab.TCLab):
 
     def _heater(self, name: str, value: float) -> float:
         answer = float(self._ask(f"{name} {value:.2f}", float))
-        if not abs(answer - value) < _ROUNDED:
+        if not abs(answer - value) < self._ROUNDED:
             raise KitError(
                 f"kit: heater {name} was set to {value:.2f} % but reports {answer:g} %; is another program "
                 "using the port?"
@@ -150,11 +167,10 @@ def open_kit(port: str, patience: float = _ANSWER) -> Kit:
         return Kit(port, patience)
 
 
-_OFFS = 5
-"""Attempts to switch the heaters off before giving up."""
-
-
 class _Keeper:
+    _OFFS: Final = 5
+    """Attempts to switch the heaters off before giving up."""
+
     def __init__(self, kit: Kit, deadline: float) -> None:
         self._kit = kit
         self._deadline = deadline
@@ -175,7 +191,7 @@ class _Keeper:
                     return 1
 
     def off(self) -> None:
-        for _ in range(_OFFS):
+        for _ in range(self._OFFS):
             with contextlib.suppress(KitError, OSError):
                 self._kit.off()
                 return
@@ -197,14 +213,14 @@ class _Keeper:
             return "cleared"
         if len(words) != 3 or words[0] != "drive":
             raise KitError(f"kit: {' '.join(words)!r} is not a command")
-        power, other = (_number(word) for word in words[1:])
-        wanted = power > 0.0 or other > 0.0
+        power, second_power = (_number(word) for word in words[1:])
+        wanted = power > 0.0 or second_power > 0.0
         if self._silent and wanted:
             return (
                 f"silent the kit received no command for {self._deadline:g} s; its heaters were switched off"
             )
         self._driving = wanted
-        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, other))
+        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, second_power))
 
     @staticmethod
     def _say(line: str) -> None:

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
@@ -28,16 +28,6 @@ class KitAbsentError(KitError):
 
 class KitSilentError(KitError):
     """The heaters were switched off because no command came in time."""
-
-
-_START = 20.0
-"""Longest start, s: the package waits 2 s at each of two speeds."""
-_ANSWER = 3.0
-"""Longest wait for an answer, s; the process gives up on the kit earlier."""
-_IN_STEP = 30.0, 12.0
-"""The same for a virtual kit in step, which may be suspended; when its process gives up, s."""
-_SHORT = 0.005
-"""Wait for an answer of a kit in step, s."""
 
 
 class KitReading(NamedTuple):
@@ -82,6 +72,17 @@ def require_port(port: str) -> None:
 class KitLink:
     """One kit; to be opened, driven and closed from one thread."""
 
+    _START: Final = 20.0
+    """Longest start, s: the package waits 2 s at each of two speeds."""
+    _ANSWER: Final = 3.0
+    """Longest wait for an answer, s; the process gives up on the kit earlier."""
+    _ANSWER_IN_STEP: Final = 30.0
+    """Longest wait for an answer of a virtual kit in step, which may be suspended, s."""
+    _DEADLINE_IN_STEP: Final = 12.0
+    """Time after which the process gives up on a kit in step, s."""
+    _SHORT: Final = 0.005
+    """Wait for an answer of a kit in step, s."""
+
     def __init__(self, port: str, deadline: float = 1.0) -> None:
         """An empty `port` is the first on the USB bus; heaters go off `deadline` s after the last command.
 
@@ -112,31 +113,31 @@ class KitLink:
         """
         words = [sys.executable, "-m", "twinmatch.links.kit_keeper", self._wanted, f"{self._deadline}"]
         if self.plant_time is not None:
-            words.append(f"{_IN_STEP[1]}")
+            words.append(f"{self._DEADLINE_IN_STEP}")
         # In its own session: Ctrl-C reaches only the commanding process, which then ends this one.
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
         self._heard = b""
-        kind, rest = self._answer(_START)
+        kind, text = self._answer(self._START)
         if kind != "ready":
             self.close()
-            raise KitAbsentError(rest) if kind == "absent" else KitError(rest)
-        self.port, _, self.firmware = rest.partition(" ")
+            raise KitAbsentError(text) if kind == "absent" else KitError(text)
+        self.port, _, self.firmware = text.partition(" ")
 
-    def drive(self, power: float, other: float) -> KitReading:
+    def drive(self, power: float, second_power: float) -> KitReading:
         """Set both heaters, %, and read both sensors.
 
         Raises:
             KitSilentError: the heaters were switched off, and stay so until `clear`.
             KitError: the kit or its process is lost; close the link.
         """
-        kind, rest = self._ask(f"drive {power!r} {other!r}")
+        kind, text = self._ask(f"drive {power!r} {second_power!r}")
         if kind == "silent":
-            raise KitSilentError(rest)
+            raise KitSilentError(text)
         if kind != "read":
-            raise KitError(rest)
-        return KitReading(*map(float, rest.split()))
+            raise KitError(text)
+        return KitReading(*map(float, text.split()))
 
     def clear(self) -> None:
         """Allow the heaters to be driven again after the deadline has passed.
@@ -144,9 +145,9 @@ class KitLink:
         Raises:
             KitError: the kit or its process is lost; close the link.
         """
-        kind, rest = self._ask("clear")
+        kind, text = self._ask("clear")
         if kind != "cleared":
-            raise KitError(rest)
+            raise KitError(text)
 
     def close(self) -> None:
         """Let the process switch the heaters off and end; returns when it has ended."""
@@ -158,7 +159,7 @@ class KitLink:
         with contextlib.suppress(OSError):
             process.stdin.close()
         try:
-            process.wait(_ANSWER)
+            process.wait(self._ANSWER)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -171,20 +172,20 @@ class KitLink:
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
         except OSError as error:
             raise KitError(f"kit: the process that holds its port is gone ({error.strerror})") from error
-        return self._answer(_ANSWER if self.plant_time is None else _IN_STEP[0])
+        return self._answer(self._ANSWER if self.plant_time is None else self._ANSWER_IN_STEP)
 
     def _answer(self, patience: float) -> tuple[str, str]:
         assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
         pipe = self._process.stdout.fileno()
         deadline = time.monotonic() + patience
         while b"\n" not in self._heard:
-            left = deadline - time.monotonic()
+            seconds_left = deadline - time.monotonic()
             wait = math.inf
             if self.plant_time is not None:
                 self.plant_time()
-                wait = _SHORT
-            if not select.select([pipe], [], [], max(0.0, min(left, wait)))[0]:
-                if left > wait:
+                wait = self._SHORT
+            if not select.select([pipe], [], [], max(0.0, min(seconds_left, wait)))[0]:
+                if seconds_left > wait:
                     continue
                 raise KitError(f"kit: the process that holds its port gave no answer for {patience:g} s")
             piece = os.read(pipe, 4096)
@@ -192,5 +193,5 @@ class KitLink:
                 raise KitError("kit: the process that holds its port has ended")
             self._heard += piece
         line, _, self._heard = self._heard.partition(b"\n")
-        kind, _, rest = line.decode(errors="replace").partition(" ")
-        return kind, rest
+        kind, _, text = line.decode(errors="replace").partition(" ")
+        return kind, text

@@ -41,10 +41,6 @@ _FORM: Final = "write modbus://HOST:PORT/UNIT or modbus+rtu:///dev/ttyUSB0?baud=
 _ANSWERS: Final = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "device failure"}
 _FUNCTIONS: Final = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 """Code of the function that reads a table."""
-_ERROR: Final = 0x80
-"""Bit of the function code that marks an answer as an error."""
-_QUOTED: Final = 24
-"""Most bytes of an answer that a message quotes."""
 _PATIENCE: Final = 1.0
 """Longest wait for a connection or an answer, and the pause after a failure, s."""
 
@@ -78,14 +74,22 @@ _READ_ANSWERS: Final = [
 class ModbusDevice:
     """One unit, for one thread at a time; reading connects where there is no connection."""
 
+    _ERROR: Final = 0x80
+    """Bit of the function code that marks an answer as an error."""
+    _QUOTED: Final = 24
+    """Most bytes of an answer that a message quotes."""
+
     def __init__(self, url: str) -> None:
         """Parse the URL; raise a ModbusError if it cannot be used."""
         self._text = url.partition("?")[0]
         tcp = _TCP.fullmatch(url)
         rtu = _RTU.fullmatch(url)
-        given = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
-        wrong = [f"{k}={v}" for k, v in given.items() if not re.fullmatch(_KEYS.get(k, "(?!)"), v, re.A)]
-        keys = _USUAL | given
+        line_settings = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
+        wrong = []
+        for key, value in line_settings.items():
+            if not re.fullmatch(_KEYS.get(key, "(?!)"), value, re.A):
+                wrong.append(f"{key}={value}")
+        keys = _USUAL | line_settings
         self._tcp = bool(tcp)
         self._client: Any  # its methods have no types
         self._open: partial[Any]
@@ -113,47 +117,53 @@ class ModbusDevice:
     def read(self, span: Span) -> Values:
         """The values of a span that one request may read; raise a ModbusError if they do not come."""
         table, first, end = span
-        client = self._client
         where = f"{self._text}: {registers.span_text(span)}"
-        self._received = b""
-        bits = {"coil": client.read_coils, "discrete": client.read_discrete_inputs}
-        reads = {**bits, "holding": client.read_holding_registers, "input": client.read_input_registers}
-        try:
-            client.socket = client.socket or self._open()  # its own way to connect does not say what failed
-            got = reads[table](first, count=end - first, device_id=self._unit)
-        except (OSError, ValueError) as error:
-            raise ModbusError(f"{where}: no connection ({error}); check the address") from None
-        except ModbusException as error:
+        answer = self._request(table, first, end - first, where)
+        code = answer.function_code & ~self._ERROR
+        if code != _FUNCTIONS[table]:
             self._leave()
-            what = "the unit" if self._tcp else "unit, baud, parity and stop"
-            came = (
-                f" (the answer is damaged, or belongs to another request: {self._quoted})"
-                if self._received
-                else ""
-            )
-            raise ModbusError(
-                f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {what}"
-            ) from error
-        if got.function_code & ~_ERROR != _FUNCTIONS[table]:
-            self._leave()
-            code = got.function_code & ~_ERROR
             raise ModbusError(
                 f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
                 f"({self._quoted}); is this a Modbus device?"
             )
-        if got.isError():
-            answer = f"{_ANSWERS.get(got.exception_code, 'error')} ({got.exception_code})"
-            raise RefusedReadError(f"{where}: the device answers: {answer}")
+        if answer.isError():
+            text = f"{_ANSWERS.get(answer.exception_code, 'error')} ({answer.exception_code})"
+            raise RefusedReadError(f"{where}: the device answers: {text}")
         try:
-            return registers.values_in(got.payload, span)
+            return registers.values_in(answer.payload, span)
         except SamplingError as error:
             self._leave()
             raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
 
+    def _request(self, table: str, first: int, count: int, where: str) -> Any:
+        """The answer to a request, which may be a refusal; raise a ModbusError if none comes."""
+        client = self._client
+        self._received = b""
+        reads = {
+            "coil": client.read_coils,
+            "discrete": client.read_discrete_inputs,
+            "holding": client.read_holding_registers,
+            "input": client.read_input_registers,
+        }
+        try:
+            client.socket = client.socket or self._open()  # its own way to connect does not say what failed
+            return reads[table](first, count=count, device_id=self._unit)
+        except (OSError, ValueError) as error:
+            raise ModbusError(f"{where}: no connection ({error}); check the address") from None
+        except ModbusException as error:
+            self._leave()
+            to_check = "the unit" if self._tcp else "unit, baud, parity and stop"
+            received = ""
+            if self._received:
+                received = f" (the answer is damaged, or belongs to another request: {self._quoted})"
+            raise ModbusError(
+                f"{where}: no valid answer within {_PATIENCE:g} s{received}; check {to_check}"
+            ) from error
+
     @property
     def _quoted(self) -> str:
         """The bytes since the last request, in hexadecimal."""
-        return self._received[:_QUOTED].hex(" ") + (" …" if len(self._received) > _QUOTED else "")
+        return self._received[: self._QUOTED].hex(" ") + (" …" if len(self._received) > self._QUOTED else "")
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         if not sending:
@@ -169,7 +179,7 @@ class ModbusDevice:
             self._client.close()
 
     def surely(self, span: Span) -> Values:
-        """The same, with two more attempts: a serial line that was just opened may have restarted it."""
+        """Read a span in up to three attempts: opening a serial line may have restarted the device."""
         for _ in range(2):
             with suppress(ModbusError):
                 return self.read(span)
@@ -231,7 +241,9 @@ class ModbusSource:
         due = time.monotonic()
         while not self._thread.ending.wait(max(due - time.monotonic(), 0.0)):
             try:
-                values = {place: v for span in self._requests for place, v in self._device.read(span).items()}
+                values: dict[tuple[str, int], int] = {}
+                for span in self._requests:
+                    values |= self._device.read(span)
                 self._cycles.append((time.time_ns(), values))
                 self._trouble = ""
             except ModbusError as error:

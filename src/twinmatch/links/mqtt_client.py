@@ -16,24 +16,31 @@ from paho.mqtt.enums import CallbackAPIVersion
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 
-KEEPALIVE: Final = 10
-"""After one and a half times so many seconds of silence, broker and client take the other as gone."""
-PATIENCE: Final = 10.0
-"""Time limit for the first connection, s."""
-LEAVE: Final = 2.0
-"""Longest wait for the end of a client's thread, s: it may be looking a host up, or connecting."""
+
+@dataclass(frozen=True)
+class BrokerTimes:
+    """How long a client waits for a broker, s."""
+
+    keepalive: int = 10
+    """After one and a half times so many seconds of silence, broker and client take the other as gone."""
+    first_connection: float = 10.0
+    leave: float = 2.0
+    """Longest wait for the end of a client's thread: it may be looking a host up, or connecting."""
+
+
+TIMES: Final = BrokerTimes()
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _KEYS: Final = ("password_file", "ca")
 
 
 def leave(client: Client) -> bool:
-    """Disconnect a client for good; returns whether its thread has ended within `LEAVE`."""
+    """Disconnect a client for good; returns whether its thread has ended within `BrokerTimes.leave`."""
 
     def stop() -> None:
         client.loop_stop()  # which waits without a limit
 
     client.disconnect()
-    stopping = Background("leaving the broker", stop, LEAVE)
+    stopping = Background("leaving the broker", stop, TIMES.leave)
     stopping.start()
     return stopping.close()
 
@@ -65,10 +72,10 @@ class Broker:
     """The other keys of the URL."""
 
     @classmethod
-    def parse(cls, url: str, more: Collection[str] = ()) -> Broker:
+    def parse(cls, url: str, other_keys: Collection[str] = ()) -> Broker:
         """From `mqtt://USER@HOST:PORT?password_file=FILE`, or `mqtts://…?ca=FILE`.
 
-        `more` are other keys that are allowed.
+        `other_keys` are allowed too.
 
         Raises:
             BrokerError: it is not such a URL, or a file cannot be read.
@@ -86,8 +93,10 @@ class Broker:
             raise BrokerError(f"mqtt://{parts.hostname}: {why} and give ?password_file=FILE")
         keys = dict(parse_qsl(parts.query, keep_blank_values=True))
         for key in keys:
-            if key not in (*_KEYS, *more):
-                raise BrokerError(f"{shown}: unknown key {key!r}; known are {', '.join((*_KEYS, *more))}")
+            if key not in (*_KEYS, *other_keys):
+                raise BrokerError(
+                    f"{shown}: unknown key {key!r}; known are {', '.join((*_KEYS, *other_keys))}"
+                )
         named = keys.pop("password_file", "")
         user = unquote(parts.username or "")
         if named and not user:
@@ -148,12 +157,12 @@ class Broker:
         client.on_connect = connect
         client.on_message = lambda _c, _u, message: on_message(message)
         try:
-            client.connect(self.host, self.port, KEEPALIVE)
+            client.connect(self.host, self.port, TIMES.keepalive)
         except (OSError, ValueError) as error:
             raise BrokerError(f"no MQTT broker at {self.text} ({error}); check that it runs") from None
         client.loop_start()
-        if not answered.wait(PATIENCE) or first:
+        if not answered.wait(TIMES.first_connection) or first:
             leave(client)
-            why = first or f"it does not answer within {PATIENCE:g} s"
+            why = first or f"it does not answer within {TIMES.first_connection:g} s"
             raise BrokerError(f"the MQTT broker at {self.text} does not let us in: {why}")
         return client

@@ -25,14 +25,15 @@ __all__ = ["MqttSource", "listing", "open_source", "parse_place"]
 
 _TIME: Final = "time"
 """Key of the URL with the path of the time in each payload."""
-_WAITING: Final = 100_000
-"""Most messages that wait; the oldest are dropped."""
 _LISTENS: Final = 2.0
 """Time for which a listing listens, s; what brokers keep comes at once."""
 
 
 class MqttSource:
     """Subscribes to the topics of some channels, again after each loss of the connection."""
+
+    _WAITING: Final = 100_000
+    """Most messages that wait; the oldest are dropped."""
 
     def __init__(self, broker: Broker, channels: list[Channel], receive: Receive) -> None:
         """Connect and subscribe.
@@ -43,7 +44,7 @@ class MqttSource:
         self.kinds: Mapping[str, str] = {channel.topic: "" for channel in channels}
         self._broker = broker
         self._receive = receive
-        self._arrived: deque[MQTTMessage] = deque(maxlen=_WAITING)
+        self._arrived: deque[MQTTMessage] = deque(maxlen=self._WAITING)
         self._amiss: dict[str, tuple[int, str]] = {}
         """Messages in a row of a topic without a number, and why the last had none."""
         self._unreadable = 0
@@ -74,7 +75,7 @@ class MqttSource:
             except SamplingError as error:
                 self._miss(topic, str(error))
                 continue
-            self._receive(topic, self._reader(topic, document), stamp, held=message.retain)
+            self._receive(topic, self._reader(topic, document), stamp, retained=message.retain)
 
     @property
     def lost(self) -> str:

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import serial
 
@@ -142,19 +142,15 @@ def open_port(port: str, timeout: float) -> serial.Serial:
     return wire
 
 
-_SHORT = 0.005
-"""Wait for a reply of a board in step, s."""
-_FIRST_PAUSE = 0.1
-_MAX_PAUSE = 2.0
-"""Pauses between attempts to reopen a lost port, s; each is twice the one before."""
-
-
 class Patience:
     """The time left for a reply: by the wall clock, and by that of a virtual plant in step, which may wait.
 
     `plant_time` lets a moment of plant time pass for the board to reply, and returns it, s (None: no longer
     in step).
     """
+
+    _SHORT: Final = 0.005
+    """Wait for a reply of a board in step, s."""
 
     def __init__(self, timeout: float, plant_time: Callable[[], float | None] | None = None) -> None:
         self._plant_time = plant_time or (lambda: None)
@@ -163,8 +159,10 @@ class Patience:
 
     def left(self) -> float:
         """How long to wait before the next call, s; none if not positive."""
-        now = self._plant_time()
-        return _SHORT if now is not None and now < self._plant_end else self._end - time.monotonic()
+        plant_now = self._plant_time()
+        if plant_now is not None and plant_now < self._plant_end:
+            return self._SHORT
+        return self._end - time.monotonic()
 
 
 AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
@@ -190,6 +188,10 @@ class PwmLink:
     As a context manager it opens on entry, and sets zero and closes on exit. After opening, the board's
     output is off and latched: call `clear()` once, then `command()`.
     """
+
+    _FIRST_PAUSE: Final = 0.1
+    _MAX_PAUSE: Final = 2.0
+    """Pauses between attempts to reopen a lost port, s; each is twice the one before."""
 
     def __init__(self, port: str, settings: LinkSettings | None = None) -> None:
         self.port = port
@@ -251,7 +253,7 @@ class PwmLink:
             PwmLinkError: the error of the last attempt.
         """
         start = time.monotonic()
-        pause = _FIRST_PAUSE
+        pause = self._FIRST_PAUSE
         while True:
             try:
                 return self.open()
@@ -261,7 +263,7 @@ class PwmLink:
                 if time.monotonic() - start + pause > patience:
                     raise
             time.sleep(pause)
-            pause = min(2 * pause, _MAX_PAUSE)
+            pause = min(2 * pause, self._MAX_PAUSE)
 
     def command(self, pwm: float) -> Applied:
         """Set the output to `pwm`, −255 to 255, rounded to a whole number; positive heats.
@@ -350,8 +352,8 @@ class PwmLink:
         try:
             wire.write(line)
             patience = Patience(self.settings.timeout, self.plant_time)
-            while (left := patience.left()) > 0 and not self._talk.spoiled:
-                wire.timeout = left
+            while (seconds_left := patience.left()) > 0 and not self._talk.spoiled:
+                wire.timeout = seconds_left
                 reply = self._talk.hear(wire.read(max(1, wire.in_waiting)))
                 if reply is not None:
                     return reply
@@ -366,23 +368,24 @@ class PwmLink:
     def _no_answer(self, verb: Verb) -> PwmLinkError:
         talk = self._talk
         tries = self.settings.retries + 1
-        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
+        failure = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
         if talk.refused_line is not None:
             code = talk.refused_line.code
-            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
+            why = f"requests arrive damaged ({code.value}); check the cable"
+            return PwmRejectedError(f"{failure}: {why}", code)
         if talk.damaged:
-            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
+            return PwmCorruptReplyError(f"{failure}: {talk.damaged} arrived damaged; check the cable")
         if talk.stale:
             return PwmStaleReplyError(
-                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
+                f"{failure}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
             )
         wait = f"{self.settings.timeout:g} s"
-        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
+        return PwmTimeoutError(f"{failure} of {wait}; is this the right port, and is the board running?")
 
     def _rejection(self, reply: Reply) -> PwmRejectedError:
         code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
-        what = f"PWM link: the board at {self.port} refused with {code.value}"
-        return PwmRejectedError(f"{what}; do host and firmware match?", code)
+        failure = f"PWM link: the board at {self.port} refused with {code.value}"
+        return PwmRejectedError(f"{failure}; do host and firmware match?", code)
 
     def _raise_trip(self, flags: Flags) -> NoReturn:
         self._notice_reset(flags)

@@ -262,13 +262,18 @@ def parse_reply(payload: bytes) -> Reply | None:
         sequence, time_ms, applied, adc, flags = map(int, match.groups())
         return _check(sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags)))
     if match := _BANNER.fullmatch(text):
-        sequence, protocol, reset_flags, deadline, restarts = (int(match[i]) for i in (1, 3, 4, 5, 6))
+        sequence = int(match[1])
+        protocol, reset_flags, deadline, restarts = map(int, match.groups()[2:])
         return _check(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
-    if (match := _FOREIGN.fullmatch(text)) and int(match[3]) != PROTOCOL:
-        return _check(int(match[1]), Banner(int(match[1]), match[2], int(match[3]), 0, 0, 0))
-    if (match := _REFUSAL.fullmatch(text)) and match[3] in Code.__members__:
+    if match := _FOREIGN.fullmatch(text):
+        sequence = int(match[1])
+        protocol = int(match[3])
+        if protocol != PROTOCOL:
+            return _check(sequence, Banner(sequence, match[2], protocol, 0, 0, 0))
+    if match := _REFUSAL.fullmatch(text):
         numbered = None if match[1] == "-" else int(match[1])
-        return _check(numbered or 0, Refusal(numbered, Code(match[3])))
+        if match[3] in Code.__members__:
+            return _check(numbered or 0, Refusal(numbered, Code(match[3])))
     return None
 
 

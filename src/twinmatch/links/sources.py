@@ -46,15 +46,19 @@ def protocol_of(url: str) -> WireProtocol:
         SamplingError: there is none, or a package that it needs is not installed.
     """
     scheme, colon, _ = url.partition("://")
-    names = [each.name for each in pkgutil.iter_modules(links.__path__) if each.name.endswith(_SUFFIX)]
-    known = {name.removesuffix(_SUFFIX): name for name in sorted(names)}
-    kind = next((k for k in (scheme, scheme.removesuffix("s"), scheme.partition("+")[0]) if k in known), "")
-    if not (colon and kind):
-        forms = " or ".join(f"{name}://…" for name in known)
+    modules = [module.name for module in pkgutil.iter_modules(links.__path__)]
+    source_modules = sorted(name for name in modules if name.endswith(_SUFFIX))
+    modules_by_scheme = {name.removesuffix(_SUFFIX): name for name in source_modules}
+    plain_schemes = (scheme, scheme.removesuffix("s"), scheme.partition("+")[0])
+    scheme_name = next((name for name in plain_schemes if name in modules_by_scheme), "")
+    if not (colon and scheme_name):
+        forms = " or ".join(f"{name}://…" for name in modules_by_scheme)
         raise SamplingError(f"source: {url!r} has no known beginning; write {forms}")
     try:
-        return cast("WireProtocol", import_module(f"{links.__name__}.{known[kind]}"))
+        return cast("WireProtocol", import_module(f"{links.__name__}.{modules_by_scheme[scheme_name]}"))
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
-        need = f"{kind}:// needs {package}, which is not installed; pip install 'twinmatch[{kind}]'"
-        raise SamplingError(f"source: {need}") from None
+        raise SamplingError(
+            f"source: {scheme_name}:// needs {package}, which is not installed; pip install "
+            f"'twinmatch[{scheme_name}]'"
+        ) from None

@@ -16,12 +16,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from twinmatch.links import Background
 from twinmatch.links.thermal_frame import (
     DEFAULT_PORT,
+    CountArray,
     Exposure,
     ThermalConnectError,
     ThermalEndError,
@@ -32,10 +34,7 @@ from twinmatch.links.thermal_frame import (
     read_frame,
 )
 from twinmatch.settings import setting
-from twinmatch.signals import KELVIN, FloatArray
-
-CLOCK_MEMORY = 30_000_000_000
-"""Length of the intervals for which the smallest difference is kept, ns; the last two intervals count."""
+from twinmatch.signals import KELVIN, BoolArray, FloatArray
 
 
 class StampMapper:
@@ -48,7 +47,10 @@ class StampMapper:
     50 ppm costs milliseconds at most.
     """
 
-    def __init__(self, memory: int = CLOCK_MEMORY) -> None:
+    MEMORY: Final = 30_000_000_000
+    """Length of the intervals for which the smallest difference is kept, ns; the last two intervals count."""
+
+    def __init__(self, memory: int = MEMORY) -> None:
         self._memory = memory
         self._stretch_start: int | None = None
         self._current: int | None = None
@@ -135,9 +137,19 @@ class LinkStatus:
     last_error: ThermalLinkError | None = None
 
 
-NO_COUNT = 0
-FULL_COUNT = 65535
-"""Counts at the ends of their range: they stand for no temperature."""
+@dataclass(frozen=True)
+class CountEnds:
+    """Counts at the ends of their range: they stand for no temperature."""
+
+    lowest: int = 0
+    highest: int = 65535
+
+    def include(self, counts: CountArray) -> BoolArray:
+        """Whether each count is one of them."""
+        return np.asarray((counts == self.lowest) | (counts == self.highest))
+
+
+COUNT_ENDS: Final = CountEnds()
 
 
 class RegionError(ThermalLinkError):
@@ -199,7 +211,7 @@ def celsius(exposure: Exposure) -> FloatArray:
         raise RegionError(msg)
     counts = exposure.image
     degrees = counts * exposure.resolution - KELVIN
-    degrees[(counts == NO_COUNT) | (counts == FULL_COUNT)] = np.nan
+    degrees[COUNT_ENDS.include(counts)] = np.nan
     return np.asarray(degrees, dtype=np.float64)
 
 
@@ -231,15 +243,13 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
     )
 
 
-_RECEIVE_BUFFER = 32_768
-_CONNECT_TIMEOUT = 2.0
-
-
 class ThermalClient(Background):
     """Receives the stream of one camera server in its own thread.
 
     Use as a context manager, or call `start` and `close`. `newest` and `status` never block.
     """
+
+    _CONNECT_TIMEOUT: Final = 2.0
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = DEFAULT_PORT, settings: ClientSettings = _DEFAULTS
@@ -325,13 +335,13 @@ class ThermalClient(Background):
         self._status = replace(self._status, state=LinkState.CONNECTING)
         host, port = self.address
         try:
-            connection = socket.create_connection(self.address, _CONNECT_TIMEOUT)
+            connection = socket.create_connection(self.address, self._CONNECT_TIMEOUT)
         except OSError as error:
             msg = f"thermal camera at {host}:{port}: {error}; is the camera server running there?"
             raise ThermalConnectError(msg) from error
         with connection:
             self._socket = connection
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _Reader.BUFFER)
             self._status = replace(
                 self._status, state=LinkState.STREAMING, connections=self._status.connections + 1
             )
@@ -345,7 +355,7 @@ class ThermalClient(Background):
         self._socket = None
 
     def _accept(self, frame: ThermalFrame, previous: ThermalFrame | None) -> None:
-        now = time.monotonic_ns()
+        received_at = time.monotonic_ns()
         if previous is not None:
             if frame.boot_id != previous.boot_id:
                 raise ThermalOrderError("thermal stream: the boot id changed within one connection")
@@ -359,7 +369,8 @@ class ThermalClient(Background):
         fresh = last is None or restarted or frame.frame_counter != last.frame_counter
         news = fresh and not frame.frozen
         status = self._status
-        received = Received(frame, status.frames + 1, now, self._mapper.map(frame.stamp, now), news)
+        image_time = self._mapper.map(frame.stamp, received_at)
+        received = Received(frame, status.frames + 1, received_at, image_time, news)
         self._status = replace(
             status,
             frames=status.frames + 1,
@@ -376,6 +387,9 @@ class ThermalClient(Background):
 
 class _Reader:
     """Exact reads from a socket, with one deadline for a whole frame."""
+
+    BUFFER: Final = 32_768
+    """Most bytes that are received at once."""
 
     def __init__(self, connection: socket.socket, name: str, timeout: float) -> None:
         self._connection = connection
@@ -402,7 +416,7 @@ class _Reader:
             if remaining <= 0:
                 raise TimeoutError
             self._connection.settimeout(remaining)
-            piece = self._connection.recv(_RECEIVE_BUFFER)
+            piece = self._connection.recv(self.BUFFER)
         except TimeoutError as error:
             msg = f"{self._name}: no complete frame within {self._timeout} s; check camera and network"
             raise ThermalStallError(msg) from error

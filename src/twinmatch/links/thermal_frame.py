@@ -201,8 +201,8 @@ def _check_image(image: object) -> None:
     if not isinstance(image, np.ndarray):
         raise FrameFieldError(f"thermal frame: the image is a {type(image).__name__}; give an array")
     if image.dtype != np.uint16 or image.ndim != 2:
-        given = f"{image.dtype} of shape {image.shape}"
-        raise FrameFieldError(f"thermal frame: the image is {given}; give uint16 counts in rows and columns")
+        layout = f"{image.dtype} of shape {image.shape}"
+        raise FrameFieldError(f"thermal frame: the image is {layout}; give uint16 counts in rows and columns")
     if not all(1 <= side <= MAX_SIDE for side in image.shape):
         msg = f"thermal frame: the image has shape {image.shape}; each side must be 1 to {MAX_SIDE}"
         raise FrameFieldError(msg)
@@ -213,8 +213,15 @@ WIRE_VERSION: Final = 1
 MAX_FRAME_BYTES: Final = 65_536
 """Longest frame accepted; a Lepton 2.5 needs 9.7 kB, a Lepton 3.5 needs 38.5 kB."""
 
-_ARRAY_TAG: Final = 40
-_UINT16_LE_TAG: Final = 69
+
+class _ArrayTag(IntEnum):
+    """Tags of CBOR for arrays (RFC 8746)."""
+
+    TWO_DIMENSIONS = 40
+    """A shape, and the values row by row."""
+    UINT16_LITTLE_ENDIAN = 69
+
+
 _CRC_LENGTH: Final = 4
 _CRC_KEY: Final = b"\x63crc\x44"
 _FIELDS: Final = {
@@ -237,7 +244,8 @@ def encode_frame(frame: ThermalFrame) -> bytes:
     """The frame as one CBOR item."""
     pixels = frame.image.astype("<u2", copy=False).tobytes()
     values = {key: getattr(frame, name) for key, name in _FIELDS.items()}
-    values["img"] = cbor2.CBORTag(_ARRAY_TAG, [[*frame.image.shape], cbor2.CBORTag(_UINT16_LE_TAG, pixels)])
+    typed_pixels = cbor2.CBORTag(_ArrayTag.UINT16_LITTLE_ENDIAN, pixels)
+    values["img"] = cbor2.CBORTag(_ArrayTag.TWO_DIMENSIONS, [list(frame.image.shape), typed_pixels])
     values["ffc"] = None if frame.flat_field is None else int(frame.flat_field)
     values["flags"] = int(frame.flags)
     item: bytes = cbor2.dumps({"v": WIRE_VERSION, **values, "crc": bytes(_CRC_LENGTH)})
@@ -330,8 +338,11 @@ def _image(value: object) -> CountArray:
     """The pixels of an RFC 8746 array: tag 40 around a shape and a tag 69."""
     match value:
         case cbor2.CBORTag(
-            tag=40,
-            value=[[int() as rows, int() as columns], cbor2.CBORTag(tag=69, value=bytes() as pixels)],
+            tag=_ArrayTag.TWO_DIMENSIONS,
+            value=[
+                [int() as rows, int() as columns],
+                cbor2.CBORTag(tag=_ArrayTag.UINT16_LITTLE_ENDIAN, value=bytes() as pixels),
+            ],
         ) if rows >= 0 and columns >= 0:
             pass
         case _:

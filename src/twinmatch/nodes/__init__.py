@@ -27,22 +27,26 @@ _INDEX = Path("share", "ament_index", "resource_index", "rmw_typesupport")
 _LOADER = "rmw_implementation"
 
 
-def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) -> str:
+def problem(environment: Mapping[str, str] = os.environ, wheel_prefix: str = sys.prefix) -> str:
     """An error line if the selected middleware is not installed; empty if no problem is found.
 
     Args:
         environment: the variables of the process.
-        own: prefix of a ROS 2 that was installed from wheels.
+        wheel_prefix: prefix of a ROS 2 that was installed from wheels.
     """
     named = environment.get(VARIABLE, "")
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    folders = [Path(prefix) / _INDEX for prefix in (*prefixes, own) if prefix]
-    found = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()} - {_LOADER}
-    if not named or not found or named in found:
+    folders = [Path(prefix) / _INDEX for prefix in (*prefixes, wheel_prefix) if prefix]
+    installed: set[str] = set()
+    for folder in folders:
+        if folder.is_dir():
+            installed.update(file.name for file in folder.iterdir())
+    installed.discard(_LOADER)
+    if not named or not installed or named in installed:
         return ""
-    there = ", ".join(sorted(found))
+    installed_names = ", ".join(sorted(installed))
     return (
-        f"network: {VARIABLE} is {named[:80]!r}, which is not installed (installed: {there}); "
+        f"network: {VARIABLE} is {named[:80]!r}, which is not installed (installed: {installed_names}); "
         "install it, or unset the variable"
     )
 

@@ -14,8 +14,7 @@ from std_msgs.msg import Float64, Header
 
 from twinmatch.links import Background
 from twinmatch.links.thermal_client import (
-    FULL_COUNT,
-    NO_COUNT,
+    COUNT_ENDS,
     ClientSettings,
     LinkState,
     Received,
@@ -26,7 +25,7 @@ from twinmatch.links.thermal_client import (
     region,
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
-from twinmatch.nodes.expected import FASTEST
+from twinmatch.nodes.expected import CLOCK_STRIDE
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import time_message
 from twinmatch.nodes.node import TwinmatchNode
@@ -44,16 +43,16 @@ class WallToRos:
         self._last: tuple[int, int] | None = None
         self._pace = 1.0
 
-    def at(self, taken: int, *, wall: int, ros: int, simulated: bool) -> int:
-        """The ROS time of the monotonic time `taken`, given current readings of both clocks; all in ns."""
+    def at(self, image_time: int, *, wall: int, ros: int, simulated: bool) -> int:
+        """The ROS time of a monotonic `image_time`, given current readings of both clocks; all in ns."""
         if not simulated:
-            return ros - (wall - taken)
+            return ros - (wall - image_time)
         if self._last is not None and wall > self._last[0]:
             pace = (ros - self._last[1]) / (wall - self._last[0])
-            if 0.0 <= pace <= FASTEST:
+            if 0.0 <= pace <= CLOCK_STRIDE.fastest:
                 self._pace += SMOOTHING * (pace - self._pace)
         self._last = (wall, ros)
-        return max(0, ros - round((wall - taken) * self._pace))  # a clock that is not set yet reads 0
+        return max(0, ros - round((wall - image_time) * self._pace))  # a clock that is not set yet reads 0
 
 
 CENTIKELVIN = 0.01
@@ -65,8 +64,8 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
     if exposure.resolution == CENTIKELVIN:
         return counts
     scaled = np.rint(counts * (exposure.resolution / CENTIKELVIN))
-    scaled = np.clip(scaled, NO_COUNT + 1, FULL_COUNT - 1)
-    return np.where((counts == NO_COUNT) | (counts == FULL_COUNT), counts, scaled).astype(np.uint16)
+    scaled = np.clip(scaled, COUNT_ENDS.lowest + 1, COUNT_ENDS.highest - 1)
+    return np.where(COUNT_ENDS.include(counts), counts, scaled).astype(np.uint16)
 
 
 def raw_image(exposure: Exposure, header: Header) -> Image:
@@ -169,10 +168,10 @@ class CameraBridge(TwinmatchNode):
         health = self.health
         status = self._camera.status
         frames = status.frames
-        now = time.monotonic()
-        rate = (frames - self._counted[0]) / (now - self._counted[1])
-        self._counted = (frames, now)
-        found = {
+        wall_now = time.monotonic()
+        rate = (frames - self._counted[0]) / (wall_now - self._counted[1])
+        self._counted = (frames, wall_now)
+        shown_values = {
             "link": status.state.value,
             "frame rate": f"{rate:.1f} Hz",
             "frames": frames,
@@ -183,7 +182,7 @@ class CameraBridge(TwinmatchNode):
             **status.errors,
             "bad frames": sum(n for name, n in status.errors.items() if name.startswith("Frame")),
         }
-        for name, value in found.items():
+        for name, value in shown_values.items():
             health.set(name, value)
         down = status.state is not LinkState.STREAMING or not frames
         health.flag_if(down, "link", Level.ERROR, str(status.last_error or "thermal camera: connecting"))
@@ -246,19 +245,19 @@ class CameraBridge(TwinmatchNode):
         if last is not None and 0 <= stamp - last < self._temperature_gap:
             return
         self._measured_at = stamp
-        found = region(frame, self._roi)
+        roi = region(frame, self._roi)
         plate = region(frame, self._plate)
         header = Header(frame_id=self.values["plate_frame_id"], stamp=time_message(stamp))
-        self._temperature.publish(Temperature(header=header, temperature=found.mean, variance=found.variance))
+        self._temperature.publish(Temperature(header=header, temperature=roi.mean, variance=roi.variance))
         self._uniformity.publish(Float64(data=plate.spread))
-        self.health.set("temperature", f"{found.mean:.2f} °C")
+        self.health.set("temperature", f"{roi.mean:.2f} °C")
         self.health.set("spread over the plate", f"{plate.spread:.2f} °C")
 
     def _publish_images(self, frame: ThermalFrame, stamp: int) -> None:
-        now = time.monotonic_ns()
-        if self._pictured_at is not None and now - self._pictured_at < self._image_gap:
+        wall_now = time.monotonic_ns()
+        if self._pictured_at is not None and wall_now - self._pictured_at < self._image_gap:
             return
-        self._pictured_at = now
+        self._pictured_at = wall_now
         header = Header(frame_id=self.values["frame_id"], stamp=time_message(stamp))
         degrees = celsius_image(frame, header)  # first, as it refuses counts that are not temperatures
         self._raw.publish(raw_image(frame, header))

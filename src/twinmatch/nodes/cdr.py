@@ -26,24 +26,24 @@ def serialized(message: Any) -> bytes:
     return data[: _HEAD + _end(message, None, 0)]
 
 
-def _end(value: Any, kind: Any, at: int) -> int:
+def _end(value: Any, kind: Any, position: int) -> int:
     """Where a value of this kind, None for a message, ends that is written from a position on."""
     if isinstance(kind, BasicType):
-        return _end_of_numbers(1, kind, at)
+        return _end_of_numbers(1, kind, position)
     if isinstance(kind, AbstractString):
-        return _end_of_numbers(1, _COUNT, at) + len(value.encode()) + 1
+        return _end_of_numbers(1, _COUNT, position) + len(value.encode()) + 1
     if isinstance(kind, AbstractSequence | Array):
-        at = _end_of_numbers(1, _COUNT, at) if isinstance(kind, AbstractSequence) else at
+        position = _end_of_numbers(1, _COUNT, position) if isinstance(kind, AbstractSequence) else position
         if isinstance(kind.value_type, BasicType):
-            return _end_of_numbers(len(value), kind.value_type, at)
-        for one in value:
-            at = _end(one, kind.value_type, at)
-        return at
+            return _end_of_numbers(len(value), kind.value_type, position)
+        for element in value:
+            position = _end(element, kind.value_type, position)
+        return position
     for name, part in zip(value.get_fields_and_field_types(), value.SLOT_TYPES, strict=True):
-        at = _end(getattr(value, name), part, at)
-    return at
+        position = _end(getattr(value, name), part, position)
+    return position
 
 
-def _end_of_numbers(count: int, kind: BasicType, at: int) -> int:
+def _end_of_numbers(count: int, kind: BasicType, position: int) -> int:
     size = _SIZES[kind.typename]
-    return at + (-at % size + count * size if count else 0)
+    return position + (-position % size + count * size if count else 0)

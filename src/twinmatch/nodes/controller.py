@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from rclpy.duration import Duration
@@ -103,7 +103,7 @@ def profiles_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
             never take effect.
     """
     outputs = find_plant(values["plant"]).outputs
-    ranges = list(zip(*(_each(values, name) for name in ("lowest", "highest", "ramp")), strict=True))
+    ranges = list(zip(*(_by_output(values, name) for name in ("lowest", "highest", "ramp")), strict=True))
     for (low, high, _), output in zip(ranges, outputs.values(), strict=True):
         if not low < high:
             msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {output.unit}"
@@ -150,11 +150,11 @@ def _staircases(
             f"controller: {kind}.levels has {len(levels)} values for {len(holds)} times; give one of "
             f"each output ({', '.join(outputs)}) for each time"
         )
-    lows = _each(values, "lowest")
-    highs = _each(values, "highest")
-    made = []
+    lows = _by_output(values, "lowest")
+    highs = _by_output(values, "highest")
+    profiles = []
     for k, (name, output) in enumerate(outputs.items()):
-        made.append(
+        profiles.append(
             Profile(
                 tuple(levels[k :: len(outputs)]),
                 holds,
@@ -166,23 +166,23 @@ def _staircases(
                 name=f"{kind} of {name}" if several else kind,
             )
         )
-    return tuple(made)
+    return tuple(profiles)
 
 
-def _each(values: Mapping[str, Any], name: str) -> list[float]:
+def _by_output(values: Mapping[str, Any], name: str) -> list[float]:
     """What a parameter of the profile says of each output.
 
     Raises:
         ControlError: it does not have a value of each.
     """
-    given = values[f"profile.{name}"]
+    parameter = values[f"profile.{name}"]
     outputs = find_plant(values["plant"]).outputs
-    each: list[float] = given if isinstance(given, list) else [given]
-    if len(each) != len(outputs):
+    by_output: list[float] = parameter if isinstance(parameter, list) else [parameter]
+    if len(by_output) != len(outputs):
         raise ControlError(
-            f"controller: profile.{name} has {len(each)} values; give one for {' and '.join(outputs)}"
+            f"controller: profile.{name} has {len(by_output)} values; give one for {' and '.join(outputs)}"
         )
-    return each
+    return by_output
 
 
 def changed_profiles(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
@@ -194,7 +194,7 @@ def changed_profiles(before: Mapping[str, Any], values: Mapping[str, Any]) -> tu
         ControlError: as for `profiles_from`, or a range would grow.
     """
     for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
-        for was, wanted in zip(_each(before, name), _each(values, name), strict=True):
+        for was, wanted in zip(_by_output(before, name), _by_output(values, name), strict=True):
             if outside(wanted, was):
                 raise ControlError(
                     f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
@@ -233,14 +233,6 @@ def _law_of(gains: Sequence[PidGains]) -> Law:
     return gains[0] if len(gains) == 1 else PidLoops.of(*gains)
 
 
-ROUNDED = 0.5
-"""Difference of applied and commanded drive that is rounding, in the drive's unit."""
-EXPIRES = 120
-"""Samples after which an answer about a law has expired."""
-RESEND = 0.2
-"""Interval at which the command is repeated in step, wall s."""
-
-
 class ControllerNode(TwinmatchNode):
     """Runs the loops of a plant on the ROS clock.
 
@@ -249,13 +241,20 @@ class ControllerNode(TwinmatchNode):
     puts the drives at rest.
     """
 
+    ROUNDED: Final = 0.5
+    """Difference of applied and commanded drive that is rounding, in the drive's unit."""
+    EXPIRES: Final = 120
+    """Samples after which an answer about a law has expired."""
+    RESEND: Final = 0.2
+    """Interval at which the command is repeated in step, wall s."""
+
     NAME = "controller"
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the plant that is named."""
         try:
-            return controller_table(find_plant(str(given.get("plant", Peltier.name)))), given
+            return controller_table(find_plant(str(overrides.get("plant", Peltier.name)))), overrides
         except PlantError as error:
             raise ParameterError(f"{cls.NAME}: {error}") from error
 
@@ -313,11 +312,11 @@ class ControllerNode(TwinmatchNode):
             self._references = self.create_publisher(kind, "plant/reference", LATCHED)
         self._laws = self.create_publisher(LawMessage, "plant/law", LATCHED)
         self.create_service(ApplyLaw, "plant/apply_law", self._on_law)
-        every = self.create_timer if self.step is None else self.step.every
-        every(self._loop.period, self._on_tick)
-        every(self.values["command_period"], self._on_repeat)
+        call_periodically = self.create_timer if self.step is None else self.step.every
+        call_periodically(self._loop.period, self._on_tick)
+        call_periodically(self.values["command_period"], self._on_repeat)
         if self.step is not None:  # while the plant waits for a command, none may be lost
-            self.wall_timer(RESEND, self._on_repeat)
+            self.wall_timer(self.RESEND, self._on_repeat)
         self.health.say("waiting")
         self.report_on()
 
@@ -328,23 +327,23 @@ class ControllerNode(TwinmatchNode):
         """
         profiles = changed_profiles(self.values, values)
         course = course_from(values)
-        now = self._loop.time
+        loop_time = self._loop.time
         if course is not None and self._course is None:
-            self._waited_at = now - self._begun
-            self._begun = now
+            self._waited_at = loop_time - self._begun
+            self._begun = loop_time
         elif course is not None and self._differ(values, "course"):
-            self._begun = now
+            self._begun = loop_time
         elif course is None and self._course is not None:
-            self._begun = now - self._waited_at
+            self._begun = loop_time - self._waited_at
         if self._differ(values, "profile"):
             self._waited_at = 0.0
-            self._begun = now if course is None else self._begun
+            self._begun = loop_time if course is None else self._begun
         self._profiles = profiles
         self._course = course
         if self._profiles is None and self._set_points is not None:
-            ranges = _each(values, "lowest"), _each(values, "highest")
-            each = zip(self._set_points, *ranges, strict=True)
-            self._set_points = tuple(min(max(one, low), high) for one, low, high in each)
+            ranges = _by_output(values, "lowest"), _by_output(values, "highest")
+            with_ranges = zip(self._set_points, *ranges, strict=True)
+            self._set_points = tuple(min(max(set_point, low), high) for set_point, low, high in with_ranges)
 
     def _differ(self, values: Values, kind: str) -> bool:
         """Whether the levels or times of a profile or a course are others than those in use."""
@@ -354,8 +353,9 @@ class ControllerNode(TwinmatchNode):
         """Ticks, lateness, and the reason if there are no samples."""
         loop = self._loop
         self.health.set("output", ", ".join(map(str, loop.inputs)))
-        set_points = ["none"] if self._set_points is None else [f"{one:g}" for one in self._set_points]
-        self.health.set("set-point", ", ".join(set_points))
+        set_points = self._set_points
+        shown = ["none"] if set_points is None else [f"{set_point:g}" for set_point in set_points]
+        self.health.set("set-point", ", ".join(shown))
         self.health.set("set-point from", "course" if self._course else self.values["reference_source"])
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
@@ -366,19 +366,19 @@ class ControllerNode(TwinmatchNode):
     def close(self) -> bool:
         """Put the drives at rest."""
         if self._commands is not None:
-            self._command(self._rest)
+            self._command(self._resting_commands)
             self._commands.wait_for_all_acked(Duration(seconds=0.2))
             self._commands = None
         return True
 
     def _on_reading(self, message: Any) -> None:
-        now = self._now()
+        plant_now = self._now()
         stamp = Time.from_msg(message.header.stamp).nanoseconds
         outputs = getattr(message, self._wiring.output)
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
-        taken = tuple(getattr(message, "taken", ()))
-        self._loop.measure(outputs, min(stamp, now) if stamp else now, disturbances, taken)
+        samplings = tuple(getattr(message, "taken", ()))
+        self._loop.measure(outputs, min(stamp, plant_now) if stamp else plant_now, disturbances, samplings)
 
     def _on_applied(self, message: Any) -> None:
         """While a fault holds or limits the drive, a sample with another input would blame the drive."""
@@ -391,29 +391,30 @@ class ControllerNode(TwinmatchNode):
             applied = point_values(getattr(message, self._wiring.input))
             # Boards round to whole counts.
             loop.limits = [
-                a if u - a > ROUNDED else math.inf for u, a in zip(loop.inputs, applied, strict=True)
+                a if u - a > self.ROUNDED else math.inf for u, a in zip(loop.inputs, applied, strict=True)
             ]
         self.health.flag_if(loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}")
         self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
 
     def _on_reference(self, message: Any) -> None:
-        given = point_values(message.data)
+        set_points = point_values(message.data)
         outputs = self._plant.outputs
         if self._loop.trying:
             self.health.flag("set-point", Level.WARN, "set-point refused: a law is on trial, which holds it")
             return
-        if len(given) != len(outputs):
-            text = f"{len(given)} set-points refused; give one of each output: {', '.join(outputs)}"
+        if len(set_points) != len(outputs):
+            text = f"{len(set_points)} set-points refused; give one of each output: {', '.join(outputs)}"
             self.health.flag("set-point", Level.ERROR, text)
             return
-        ranges = _each(self.values, "lowest"), _each(self.values, "highest")
-        for one, low, high, output in zip(given, *ranges, outputs.values(), strict=True):
-            if not low <= one <= high:
+        ranges = _by_output(self.values, "lowest"), _by_output(self.values, "highest")
+        for set_point, low, high, output in zip(set_points, *ranges, outputs.values(), strict=True):
+            if not low <= set_point <= high:
                 safe = f"the safe range is {low:g} to {high:g} {output.unit}"
-                self.health.flag("set-point", Level.ERROR, f"set-point {one:g} {output.unit} refused; {safe}")
+                text = f"set-point {set_point:g} {output.unit} refused; {safe}"
+                self.health.flag("set-point", Level.ERROR, text)
                 return
         self.health.withdraw("set-point")
-        self._set_points = given
+        self._set_points = set_points
 
     def _on_law(self, asked: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
         """Put a law on trial, or give the law before back, by the operator's word."""
@@ -443,15 +444,16 @@ class ControllerNode(TwinmatchNode):
         self._check_signature(asked)
         if asked.decision != "safe" and not asked.although:
             raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
-        if not (loop.running and 0 <= self._index - asked.sample <= EXPIRES):
+        if not (loop.running and 0 <= self._index - asked.sample <= self.EXPIRES):
             raise ControlError(
                 f"loop: the answer is from sample {asked.sample}, and now is {self._index}; ask again"
             )
         if {len(getattr(asked, name)) for name in GAINS} != {size}:
             raise ControlError(f"loop: give {size} of each gain, one for each output")
         rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
-        each = zip(self._pids, rows, strict=True)
-        gains = [replace(own, **dict(zip(GAINS, row, strict=True))) for own, row in each]
+        gains = []
+        for running, row in zip(self._pids, rows, strict=True):
+            gains.append(replace(running, **dict(zip(GAINS, row, strict=True))))
         self._check_gains(gains)
         eigenvalue = self._eigenvalue(gains)
         if eigenvalue >= 1.0 and not asked.although:
@@ -459,12 +461,20 @@ class ControllerNode(TwinmatchNode):
                 "loop: with this law the plant of its file is not stable (largest eigenvalue "
                 f"{eigenvalue:.4g}); it is run with --although only"
             )
-        low, high = (np.reshape(ends, (-1, size)) for ends in (asked.low, asked.high))
+        low = np.reshape(asked.low, (-1, size))
+        high = np.reshape(asked.high, (-1, size))
         trial = LawTrial(TrialBands(low, high, asked.shadow, asked.patience))
         loop.try_law(_law_of(gains), trial)
         self._taken_answers.add(asked.signature)
-        found = self._index, TrialPhase.ANSWERED, 0, asked.decision, asked.family, asked.although
-        self._on_trial = replace(LawReport(*found), request=asked.request).of(gains)
+        report = LawReport(
+            self._index,
+            TrialPhase.ANSWERED,
+            decision=asked.decision,
+            family=asked.family,
+            although=asked.although,
+            request=asked.request,
+        )
+        self._on_trial = report.of(gains)
 
     def _check_signature(self, asked: ApplyLaw.Request) -> None:
         """Refuse what the twin of this run has not signed, or what was taken before.
@@ -490,7 +500,8 @@ class ControllerNode(TwinmatchNode):
         for setting in loop_parameters(self._plant):
             name = setting.name.removeprefix("pid.")
             if name in GAINS:
-                setting.accept(one_or_each([getattr(each, name) for each in gains]), "loop: a law on trial")
+                values = [getattr(loop_gains, name) for loop_gains in gains]
+                setting.accept(one_or_each(values), "loop: a law on trial")
 
     def _eigenvalue(self, gains: Sequence[PidGains]) -> float:
         """Size of the largest eigenvalue of the loop of these PIDs with the plant of the file, where the
@@ -529,7 +540,7 @@ class ControllerNode(TwinmatchNode):
             self.health.say("ticking")
             self.health.withdraw("idle")
         elif not self._loop.running:
-            self._command(self._rest)
+            self._command(self._resting_commands)
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
@@ -539,19 +550,19 @@ class ControllerNode(TwinmatchNode):
         if not self._readers.awaited and self.exit_code is None:
             self._command(self._loop.inputs)
 
-    def _reference(self, at: float) -> Signals | None:
+    def _reference(self, seconds: float) -> Signals | None:
         """The set-points at a time since sample 0 (s); published when they change."""
         if self._loop.trying:  # its bands are for this set-point; the profile waits
             self._begun += self._loop.period
             return self._set_points
         if self._profiles is None:
             return self._set_points
-        at -= self._begun
-        if self._course is None and self.values["exit_at_end"] and self._profiles[0].ended(at):
+        seconds -= self._begun
+        if self._course is None and self.values["exit_at_end"] and self._profiles[0].ended(seconds):
             self.get_logger().info("the profile has ended")
             self.exit_code = 0
             return None
-        references = tuple(profile.reference(at) for profile in self._course or self._profiles)
+        references = tuple(profile.reference(seconds) for profile in self._course or self._profiles)
         if references != self._set_points:
             self._set_points = references
             data = Float64(data=references[0]) if self._single else Float64MultiArray(data=references)
@@ -560,17 +571,17 @@ class ControllerNode(TwinmatchNode):
 
     def _command(self, values: Sequence[float]) -> None:
         if self._commands is not None:
-            now = self._now()
+            plant_now = self._now()
             wiring = self._wiring
             sent = values[0] if wiring is PELTIER else list(values)
             message = wiring.command_type(index=self._index, **{wiring.input: sent})
-            message.header.stamp = time_message(now)
+            message.header.stamp = time_message(plant_now)
             self._commands.publish(message)
             if self.step is not None:
-                self.step.sent(now)
+                self.step.sent(plant_now)
 
     @property
-    def _rest(self) -> list[float]:
+    def _resting_commands(self) -> list[float]:
         """Commands that put the drives at rest."""
         return [drive.rest for drive in self._plant.drives.values()]
 

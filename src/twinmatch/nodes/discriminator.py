@@ -10,6 +10,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class ForecastPublisher:
         """What questions are answered from."""
         self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
-        self._made = 0
+        self._forecasts_made = 0
         self.heard = 0
         """Number of forecasts published before this node started, which are not published again."""
         self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
@@ -81,8 +82,8 @@ class ForecastPublisher:
         self.take(snapshot)
         if snapshot.leading is None:
             return
-        self._made += 1
-        if self._made <= self.heard:
+        self._forecasts_made += 1
+        if self._forecasts_made <= self.heard:
             return
         outlook = snapshot.outlook()
         leader = (outlook.candidate, outlook.parameters)
@@ -117,12 +118,6 @@ class ForecastPublisher:
         return answer_message(answer, outlook.sample.stamp)
 
 
-PATIENCE = 2.0
-"""Time after which an unanswered match request is repeated, wall s."""
-BEHIND = 20
-"""Samples for which a plant in step continues while a match is awaited."""
-CHECK = 0.5
-"""Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"
 """Key on /diagnostics: newest sample up to which everything is judged."""
 VERDICTS = "verdicts"
@@ -137,11 +132,12 @@ def plant_report(verdict: Verdict | None, reason: str) -> Report:
     missed = verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None
     if not verdict.fault and missed is None:
         return Report(Level.OK, "the plant responds normally", {})
-    said = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
+    sentence = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
     since = verdict.fault_since if verdict.fault else missed
     values = {"fault": verdict.fault, "channel": verdict.fault_signal, "since sample": since}
+    filled = {key: str(value) for key, value in values.items() if value not in ("", None)}
     level = Level.ERROR if verdict.level is TrustLevel.FAULT else Level.WARN
-    return Report(level, said, {key: str(value) for key, value in values.items() if value not in ("", None)})
+    return Report(level, sentence, filled)
 
 
 class DiscriminatorNode(SampleNode):
@@ -150,6 +146,13 @@ class DiscriminatorNode(SampleNode):
     A request is repeated every `PATIENCE` seconds until it is answered: the matcher may have crashed or
     started late. The answer depends on the request alone, so waiting changes no verdict.
     """
+
+    PATIENCE: Final = 2.0
+    """Time after which an unanswered match request is repeated, wall s."""
+    BEHIND: Final = 20
+    """Samples for which a plant in step continues while a match is awaited."""
+    CHECK: Final = 0.5
+    """Interval at which the pending request is checked, wall s."""
 
     NAME = "discriminator"
 
@@ -161,7 +164,7 @@ class DiscriminatorNode(SampleNode):
         self._fault_reason = ""
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
-        self._made = 0  # verdicts
+        self._verdicts_made = 0
         self._reported_defects = 0
         self._published_before = 0  # verdicts published before this node started
         self._pending: MatchRequest | None = None
@@ -174,14 +177,21 @@ class DiscriminatorNode(SampleNode):
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         stamps = self._discriminator.stamps
-        asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0), Turn()
-        self._experimenter = Experimenter(*asked)
-        self._laws = LawDesk(*asked)
+
+        def newest() -> Snapshot:
+            return self._forecasts.newest
+
+        def stamp_of(index: int) -> int:
+            return stamps.get(index, 0)
+
+        turn = Turn()
+        self._experimenter = Experimenter(self, newest, stamp_of, turn)
+        self._laws = LawDesk(self, newest, stamp_of, turn)
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
             self.step.wait_for(self._behind)
-        self.wall_timer(CHECK, self._repeat)
+        self.wall_timer(self.CHECK, self._repeat)
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
         """Report on the plant, too."""
@@ -190,7 +200,7 @@ class DiscriminatorNode(SampleNode):
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""
         request = self._discriminator.request
-        return request is not None and (self._watch.last or 0) - request.sample > BEHIND
+        return request is not None and (self._watch.last or 0) - request.sample > self.BEHIND
 
     def work(self, item: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
@@ -208,8 +218,8 @@ class DiscriminatorNode(SampleNode):
             self._newest_index = item.index
             step = self._discriminator.push_sample(item)
         self._publish_step(step)
-        while step.request is not None and (known := self._answer(step.request)) is not None:
-            step = self._discriminator.push_match(known)
+        while step.request is not None and (earlier_match := self._answer(step.request)) is not None:
+            step = self._discriminator.push_match(earlier_match)
             self._publish_step(step)
         if step.request is not None:
             self._tries = 0
@@ -219,12 +229,12 @@ class DiscriminatorNode(SampleNode):
             self.health.withdraw("match")
         self.health.set(SETTLED, self._discriminator.settled)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take the results of a discriminator before this one, which are not published again."""
         if not self._stream.begun:
-            self._published_before = said.scores_heard
-            self._forecasts.heard = said.forecasts_heard
-        self._answers += map(record_of, said.match)
+            self._published_before = answer.scores_heard
+            self._forecasts.heard = answer.forecasts_heard
+        self._answers += map(record_of, answer.match)
 
     def _stamp_of(self, record: Verdict | twin.MatchRequest) -> int:
         """Stamp of the sample of a verdict or request, ns; 0: it was so long ago that it is forgotten."""
@@ -269,7 +279,7 @@ class DiscriminatorNode(SampleNode):
 
     def _repeat(self) -> None:
         pending = self._pending
-        if pending is None or time.monotonic() - self._requested_at < PATIENCE:
+        if pending is None or time.monotonic() - self._requested_at < self.PATIENCE:
             return
         self._request(pending)
         words = f"no answer to the match request of sample {pending.sample}; requested {self._tries} times"
@@ -293,10 +303,10 @@ class DiscriminatorNode(SampleNode):
         self.health.set("level", verdict.level.value)
         self.health.set("level because", verdict.level_reason)
         self.health.set("nominal", verdict.nominal or "none")
-        self._made += 1
-        if self._made > self._published_before:
+        self._verdicts_made += 1
+        if self._verdicts_made > self._published_before:
             self.publish(self._scores, message_of(verdict, self._stamp_of(verdict)))
-        if self._made < self._published_before:
+        if self._verdicts_made < self._published_before:
             return
         if verdict.chosen is None:
             return

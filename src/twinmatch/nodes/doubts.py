@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from twinmatch.nodes.entrance import ALONE, UNKNOWN
 from twinmatch.nodes.node import TwinmatchNode
@@ -16,6 +16,9 @@ from twinmatch.sessions.metadata import doubt_record
 
 Tell = Callable[[str, Mapping[str, str]], None]
 """Takes the name and the values of a record of the session."""
+
+
+_GONE: Final = "a node that is gone"
 
 
 @dataclass
@@ -34,8 +37,10 @@ class _Topic:
     @property
     def names(self) -> list[str]:
         """Different names of its publishers; a node that was restarted has the name of the one before."""
-        known = {"a node that is gone" if name == UNKNOWN else name for name in self.seen.values()}
-        return sorted(known | ({"a node that is gone"} if len(self.seen) < 2 else set()))
+        names = {_GONE if name == UNKNOWN else name for name in self.seen.values()}
+        if len(self.seen) < 2:
+            names.add(_GONE)
+        return sorted(names)
 
 
 class Doubts:
@@ -50,28 +55,28 @@ class Doubts:
 
     def watch(self, topic: str, subscription: Any) -> None:
         """Watch a topic, through the newest subscription to it."""
-        known = self._topics.get(topic)
-        if known is None:
+        watched = self._topics.get(topic)
+        if watched is None:
             self._topics[topic] = _Topic(self._node.entrance.second(subscription), self._publishers(topic))
         else:
-            known.second = self._node.entrance.second(subscription)
+            watched.second = self._node.entrance.second(subscription)
 
-    def sample(self, index: int, now: float) -> None:
-        """Take the index of the newest sample; `now` in wall s."""
-        self.look(now)
+    def sample(self, index: int, wall_now: float) -> None:
+        """Take the index of the newest sample, received at `wall_now` (s)."""
+        self.look(wall_now)
         self._index = index
 
-    def look(self, now: float) -> None:
-        """Look who publishes, wall s."""
+    def look(self, wall_now: float) -> None:
+        """Look who publishes at `wall_now` (s)."""
         for name, topic in self._topics.items():
             if topic.second():
                 topic.since = self._index if topic.since is None else topic.since
-                topic.until = now + ALONE
+                topic.until = wall_now + ALONE
             if topic.since is None:
                 continue
-            known = {one: called for one, called in topic.seen.items() if called != UNKNOWN}
-            topic.seen |= self._publishers(name) | known
-            over = now > topic.until
+            with_names = {gid: publisher for gid, publisher in topic.seen.items() if publisher != UNKNOWN}
+            topic.seen |= self._publishers(name) | with_names
+            over = wall_now > topic.until
             if over or UNKNOWN not in topic.seen.values():
                 self._note(name, topic, str(self._index) if over else "")
             if over:
@@ -84,15 +89,15 @@ class Doubts:
             return
         if not topic.told:
             self._number += 1
-        found = {
+        record = {
             "topic": name,
             "publishers": " and ".join(topic.names),
             "first": str(topic.since),
             "last": last,
         }
-        if found != topic.told:
-            topic.told = found
-            self._tell(doubt_record(self._number), found)
+        if record != topic.told:
+            topic.told = record
+            self._tell(doubt_record(self._number), record)
 
     def _publishers(self, topic: str) -> dict[bytes, str]:
         return {bytes(i.endpoint_gid): i.node_name for i in self._node.get_publishers_info_by_topic(topic)}

@@ -32,16 +32,6 @@ from twinmatch.printing import printable
 
 Take = Callable[[Any], None]
 
-REMEMBER: Final = 60.0
-"""Time for which a refusal stays on /diagnostics after the last of its kind, wall s."""
-MAX_KINDS: Final = 20
-"""Most kinds of refusals on /diagnostics; all are counted."""
-MAX_REASONS: Final = 3
-"""Most kinds of them for one topic or service."""
-MAX_NAMES: Final = 3
-"""Most publishers of a topic that are named as possible senders."""
-MAX_TEXT: Final = 200
-"""Longest reason told, characters."""
 LOOK: Final = 0.5
 """Shortest interval between two looks at who publishes a topic, wall s."""
 AGREEING: Final = 3
@@ -55,7 +45,7 @@ _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
 
 
 @dataclass
-class _Told:
+class _Refusal:
     """A refusal that was reported."""
 
     at: float
@@ -70,12 +60,23 @@ class _Told:
 class Entrance:
     """Checks what a node receives, and tells what it refuses."""
 
+    REMEMBER: Final = 60.0
+    """Time for which a refusal stays on /diagnostics after the last of its kind, wall s."""
+    MAX_KINDS: Final = 20
+    """Most kinds of refusals on /diagnostics; all are counted."""
+    MAX_REASONS: Final = 3
+    """Most kinds of them for one topic or service."""
+    MAX_NAMES: Final = 3
+    """Most publishers of a topic that are named as possible senders."""
+    MAX_TEXT: Final = 200
+    """Longest reason told, characters."""
+
     def __init__(self, node: Node, health: NodeHealth) -> None:
         """Parameters of any plant pass until `plant` is set."""
         self.plant: Expected = None
         self._node = node
         self._health = health
-        self._told: dict[str, _Told] = {}
+        self._refusals: dict[str, _Refusal] = {}
         self._senders: dict[str, tuple[float, str]] = {}
         self._seconds: dict[Any, SecondPublisher] = {}
 
@@ -151,49 +152,56 @@ class Entrance:
             return False
         return True
 
+    @property
+    def refusals(self) -> int:
+        """Number of the refusals that are reported now."""
+        return len(self._refusals)
+
     def refuse(self, name: str, why: str, topic: str = "") -> None:
         """Count a message that is not used, and tell it once while messages of its kind come: of a topic with
         its sender, as soon as DDS knows a new node's name."""
         self._health.count(f"refused: {name}")
-        why = why if len(why) <= MAX_TEXT else f"{why[:MAX_TEXT]}…"
+        why = why if len(why) <= self.MAX_TEXT else f"{why[: self.MAX_TEXT]}…"
         kind = f"{name}: {_FIGURES.sub('', why)}"
-        now = time.monotonic()
-        if kind not in self._told:
-            like = sum(told.name == name for told in self._told.values())
-            if like >= MAX_REASONS or len(self._told) >= MAX_KINDS:
+        wall_now = time.monotonic()
+        if kind not in self._refusals:
+            reasons_given = sum(refusal.name == name for refusal in self._refusals.values())
+            if reasons_given >= self.MAX_REASONS or len(self._refusals) >= self.MAX_KINDS:
                 return
-            self._told[kind] = _Told(now, f"refused: {name}: {why}", name, topic)
+            self._refusals[kind] = _Refusal(wall_now, f"refused: {name}: {why}", name, topic)
             self._tell(kind)
-        self._told[kind].at = now
+        self._refusals[kind].at = wall_now
 
-    def watch(self, now: float) -> None:
+    def watch(self, wall_now: float) -> None:
         """Withdraw the refusals of `REMEMBER` seconds ago and before, by the wall clock."""
-        for kind in [kind for kind, told in self._told.items() if now - told.at > REMEMBER]:
-            del self._told[kind]
-            self._health.withdraw(kind)
-        for kind in [kind for kind, told in self._told.items() if told.topic]:
-            self._tell(kind)
+        for kind, refusal in list(self._refusals.items()):
+            if wall_now - refusal.at > self.REMEMBER:
+                del self._refusals[kind]
+                self._health.withdraw(kind)
+        for kind, refusal in list(self._refusals.items()):
+            if refusal.topic:
+                self._tell(kind)
 
     def _tell(self, kind: str) -> None:
-        told = self._told[kind]
-        sender = self._sender(told.topic) if told.topic else ""
+        refusal = self._refusals[kind]
+        sender = self._sender(refusal.topic) if refusal.topic else ""
         if sender:
-            told.text = f"{told.text} (published by {sender})"
-            told.topic = ""
-        self._health.flag(kind, Level.ERROR, told.text)
+            refusal.text = f"{refusal.text} (published by {sender})"
+            refusal.topic = ""
+        self._health.flag(kind, Level.ERROR, refusal.text)
 
     def _sender(self, topic: str) -> str:
         """Who publishes a topic, as far as DDS tells: it does not say of whom a message is.
 
         Empty while it does not know a name yet.
         """
-        at, names = self._senders.get(topic, (-LOOK, ""))
-        if time.monotonic() - at > LOOK:
-            found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-            names = " or ".join(sorted(found)) or "a node that is gone"
-            if len(found) > MAX_NAMES:
-                names = f"one of {len(found)} nodes; ros2 topic info -v {topic} lists them"
-            names = "" if UNKNOWN in found else names
+        looked_up, names = self._senders.get(topic, (-LOOK, ""))
+        if time.monotonic() - looked_up > LOOK:
+            publishers = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+            names = " or ".join(sorted(publishers)) or "a node that is gone"
+            if len(publishers) > self.MAX_NAMES:
+                names = f"one of {len(publishers)} nodes; ros2 topic info -v {topic} lists them"
+            names = "" if UNKNOWN in publishers else names
             self._senders[topic] = time.monotonic(), names
         return names
 
@@ -224,7 +232,7 @@ class Course:
         self._departs = departs
         self._publishers = publishers
         self._before: Any = None
-        self._at = 0.0
+        self._received_at = 0.0
         self._owners: frozenset[bytes] = frozenset()
         self._refused: list[Any] = []
         self._looked = -LOOK
@@ -237,14 +245,14 @@ class Course:
             MessageError: it does not follow.
         """
         alone = self._alone(now)
-        elapsed = math.inf if alone else now - self._at
+        elapsed = math.inf if alone else now - self._received_at
         why = "" if self._before is None else self._departs(self._before, message, elapsed)
         if why and not self._is_believed(message, now, alone):
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
         self._before = message
-        self._at = now
+        self._received_at = now
         self._refused.clear()
 
     def _alone(self, now: float) -> bool:
@@ -252,7 +260,8 @@ class Course:
         if self.second():
             self._second = now
         elif self._second is not None and now - self._second > ALONE:
-            self._second, self._owners = None, self._publishers()
+            self._second = None
+            self._owners = self._publishers()
         return self._second is None
 
     def _is_believed(self, message: Any, now: float, alone: bool) -> bool:
@@ -266,9 +275,9 @@ class Course:
         """Whether all publishers are new; looked up at most every `LOOK` seconds."""
         if now - self._looked < LOOK:
             return False
-        found = self._publishers()
+        publishers = self._publishers()
         self._looked = now
-        return bool(found) and not found & self._owners
+        return bool(publishers) and not publishers & self._owners
 
 
 class SecondPublisher:
@@ -285,8 +294,8 @@ class SecondPublisher:
     def __call__(self) -> bool:
         """Look."""
         with self._matched:
-            now = self._matched.take_event()
-        return bool(now.current_count > 1 or (now.total_count > 1 and now.total_count_change > 0))
+            matched = self._matched.take_event()
+        return bool(matched.current_count > 1 or (matched.total_count > 1 and matched.total_count_change > 0))
 
     def destroy(self) -> None:
         """Release the subscription, which others would see until it is collected."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import Any, Final, NamedTuple
 
@@ -27,7 +28,7 @@ from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check
 from twinmatch.nodes.messages import LOOP, nanoseconds, sample_from
 from twinmatch.plants import UnknownPlantError
 from twinmatch.sessions.encoding import SAMPLED
-from twinmatch.signals import counted, incomplete
+from twinmatch.signals import FloatArray, counted, incomplete
 from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours
 from twinmatch_msgs.srv import ApplyLaw, Experiment, Past, TryLaw, WhatIf
@@ -77,21 +78,22 @@ def _numbers(message: Any, names: Iterable[str]) -> Iterator[tuple[str, float]]:
     """The numbers in fields that hold one or several, by the name of the field."""
     for name in names:
         value = getattr(message, name)
-        yield from ((name, one) for one in ((value,) if isinstance(value, float | int) else value))
+        for number in (value,) if isinstance(value, float | int) else value:
+            yield name, number
 
 
 def _finite(message: Any, *names: str) -> None:
     """Numbers, or lists of numbers, that are finite and not absurdly large."""
-    for name, one in _numbers(message, names):
-        if not abs(one) <= LARGEST:  # true for NaN too
-            raise MessageError(f"{name} is {one}; expected a finite number")
+    for name, number in _numbers(message, names):
+        if not abs(number) <= LARGEST:  # true for NaN too
+            raise MessageError(f"{name} is {number}; expected a finite number")
 
 
 def _within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
     """Numbers, or lists of numbers, in a range or, if absent, NaN."""
-    for name, one in _numbers(message, names):
-        if not (low <= one <= high or (absent and math.isnan(one))):
-            raise MessageError(f"{name} is {one:g}; expected {low:g} to {high:g}")
+    for name, number in _numbers(message, names):
+        if not (low <= number <= high or (absent and math.isnan(number))):
+            raise MessageError(f"{name} is {number:g}; expected {low:g} to {high:g}")
 
 
 def _rising(message: Any, name: str) -> None:
@@ -105,15 +107,15 @@ def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
     number = getattr(message, name)
     word = getattr(message, f"{name}_name")
     if word not in words or getattr(type(message), word.upper()) != number:
-        given = f"{number} with the word {word[:40]!r}"
-        raise MessageError(f"{name} is {given}; expected one of {', '.join(words)}")
+        expected = ", ".join(words)
+        raise MessageError(f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}")
 
 
-def _among(words: Iterable[str], there: Iterable[str], what: str) -> None:
-    known = {"", *there}
-    unknown = [word for word in words if word not in known]
+def _among(words: Iterable[str], listed: Iterable[str], kind: str) -> None:
+    accepted = {"", *listed}
+    unknown = [word for word in words if word not in accepted]
     if unknown:
-        raise MessageError(f"{what} {unknown[0][:40]!r} is not among those listed")
+        raise MessageError(f"{kind} {unknown[0][:40]!r} is not among those listed")
 
 
 def _in_order(message: Any) -> None:
@@ -147,8 +149,10 @@ def _check_state(message: Any) -> None:
     if not (len(message.reference) and outputs and inputs):
         raise MessageError("has no reference, no output or no input; a plant has at least one of each")
     for name in converted.STATE_FIGURES:
-        size, of = (inputs, "its inputs") if name.endswith(("_input", "_u")) else (outputs, "its outputs")
-        _check_size(message, size, name, of=of)
+        if name.endswith(("_input", "_u")):
+            _check_size(message, inputs, name, of="its inputs")
+        else:
+            _check_size(message, outputs, name, of="its outputs")
     _check_size(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
 
 
@@ -202,12 +206,20 @@ def _check_accepted(message: Any, size: int) -> None:
         if not all(map(math.isfinite, getattr(message, name))):
             raise MessageError(f"{name} of an accepted match is not finite")
     covariance = np.array(message.covariance).reshape(size, size)
-    errors = np.sqrt(np.abs(np.diag(covariance)))
-    whole = bool((np.diag(covariance) > 0).all())
-    if not whole or np.linalg.eigvalsh(covariance / np.outer(errors, errors)).min(initial=0.0) < -1e-6:
+    if not _is_positive(covariance):
         raise MessageError("covariance is none: it has an eigenvalue that is not positive")
     if not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise MessageError("covariance is not symmetric")
+
+
+def _is_positive(covariance: FloatArray) -> bool:
+    """Whether all variances are positive, and all eigenvalues of the correlations, but for rounding."""
+    variances = np.diag(covariance)
+    if not (variances > 0).all():
+        return False
+    errors = np.sqrt(variances)
+    correlations = covariance / np.outer(errors, errors)
+    return bool(np.linalg.eigvalsh(correlations).min(initial=0.0) >= -1e-6)
 
 
 def _check_verdict(message: Any) -> None:
@@ -230,14 +242,14 @@ def _check_verdict(message: Any) -> None:
     _among([message.leader], [score.name for score in message.forecasts], "leader")
     for candidate in message.candidates:
         _check_candidate(candidate)
+    skills = [f"{name}_skill" for name in BASELINES]
+    high_skills = [f"{name}_skill_high" for name in BASELINES]
+    score_fields = ("gains", *skills, *high_skills, "coverage", "independent")
     for score in message.forecasts:
-        skills = [f"{name}_skill{end}" for name in BASELINES for end in ("", "_high")]
-        each = "gains", *skills, "coverage", "independent"
-        _check_size(score, len(message.horizons), *each, of="its horizons", empty=True)
+        _check_size(score, len(message.horizons), *score_fields, of="its horizons", empty=True)
         _check_score(score)
     for signal in message.signals:
-        each = "coverage", *(f"{name}_skill" for name in BASELINES)
-        _check_size(signal, len(message.horizons), *each, of="the horizons", empty=True)
+        _check_size(signal, len(message.horizons), "coverage", *skills, of="the horizons", empty=True)
         _within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
 
 
@@ -265,7 +277,7 @@ def _check_law(message: Any) -> None:
 
 def _check_candidate(candidate: Any) -> None:
     _check_point(candidate)
-    _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
+    _among([candidate.chosen_order], [model.order for model in candidate.orders], "chosen_order")
     _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
     _check_size(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
     _check_named(candidate)
@@ -350,9 +362,10 @@ def _check_names(request: Any) -> None:
 
 
 def _check_parameter_values(request: Any) -> None:
-    for one in request.parameters:
-        if not one.name or one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            raise MessageError(f"parameter {one.name[:40]!r} has type {one.value.type}; expected 0 to 9")
+    for parameter in request.parameters:
+        if not parameter.name or parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+            name = parameter.name[:40]
+            raise MessageError(f"parameter {name!r} has type {parameter.value.type}; expected 0 to 9")
 
 
 def _check_values(answer: Any) -> None:
@@ -361,10 +374,21 @@ def _check_values(answer: Any) -> None:
             raise MessageError(f"a parameter has type {value.type}; expected 0 to 9")
 
 
-MIN_PERIOD: Final = 1_000_000
-"""Shortest time between two samples, ns."""
-LEAP: Final = 100
-"""Indices that may be missing without time between the samples."""
+@dataclass(frozen=True)
+class SampleStride:
+    """How far the index of a sample may be ahead of the one before."""
+
+    min_period: int = 1_000_000
+    """Shortest time between two samples, ns."""
+    untimed: int = 100
+    """Indices that may be missing without time between the samples."""
+
+    def longest(self, elapsed: int) -> int:
+        """Most indices ahead after so much time (ns)."""
+        return self.untimed + max(0, elapsed) // self.min_period
+
+
+_SAMPLE_STRIDE: Final = SampleStride()
 
 
 def _sample_departs(before: Any, message: Any, _: float) -> str:
@@ -372,27 +396,38 @@ def _sample_departs(before: Any, message: Any, _: float) -> str:
     if message.index <= before.index:
         return f"sample {message.index} came after sample {before.index}"
     elapsed = nanoseconds(message.header.stamp) - nanoseconds(before.header.stamp)
-    if message.index - before.index > LEAP + max(0, elapsed) // MIN_PERIOD:
+    if message.index - before.index > _SAMPLE_STRIDE.longest(elapsed):
         return f"sample {message.index} came {elapsed / 1e9:g} s after sample {before.index}"
     for name in SAMPLED:
-        there = len(getattr(before, name))
-        here = len(getattr(message, name))
-        if there != here:
-            return f"it has {here} values of {name}; those before had {there}"
+        length_before = len(getattr(before, name))
+        length = len(getattr(message, name))
+        if length_before != length:
+            return f"it has {length} values of {name}; those before had {length_before}"
     return ""
 
 
-FASTEST: Final = 1000.0
-"""Highest speed of a virtual plant, plant s per wall s; at `max` no machine reaches it."""
-STRIDE: Final = 2.0
-"""Longest way from one /clock to the next in no time, plant s: a plant in step tells where it stands."""
+@dataclass(frozen=True)
+class ClockStride:
+    """How far /clock may be ahead of the one before."""
+
+    fastest: float = 1000.0
+    """Highest speed of a virtual plant, plant s per wall s; at `max` no machine reaches it."""
+    untimed: float = 2.0
+    """Longest way from one /clock to the next in no time, plant s: a plant in step tells where it stands."""
+
+    def longest(self, elapsed: float) -> float:
+        """Most plant seconds ahead after so much time (wall s)."""
+        return self.untimed + self.fastest * elapsed
+
+
+CLOCK_STRIDE: Final = ClockStride()
 
 
 def _clock_departs(before: Any, message: Any, elapsed: float) -> str:
     ahead = (nanoseconds(message.clock) - nanoseconds(before.clock)) / 1e9
     if ahead < 0:
         return f"the time goes back by {-ahead:g} s"
-    if ahead > STRIDE + FASTEST * elapsed:
+    if ahead > CLOCK_STRIDE.longest(elapsed):
         return f"the time jumps ahead by {ahead:g} s within {elapsed:.3g} s"
     return ""
 

@@ -30,6 +30,11 @@ _ASKED: Final = ("profile.lowest", "profile.highest", "reference_source")
 """Parameters of the controller that an experiment needs to know."""
 
 
+def _by_output(value: Any) -> Sequence[float]:
+    """The value of a parameter of the controller for each output; with one output it is a number."""
+    return value if isinstance(value, Sequence) else [value]
+
+
 class Experimenter(Desk):
     """Serves `twin/experiment`, and publishes there what comes of it.
 
@@ -62,10 +67,10 @@ class Experimenter(Desk):
 
     def _on_request(self, request: Experiment.Request, _: Experiment.Response) -> Experiment.Response:
         try:
-            said = self._stop() if request.stop else self._begin(request)
+            message = self._stop() if request.stop else self._begin(request)
         except TwinmatchError as error:
             return Experiment.Response(success=False, message=str(error))
-        return Experiment.Response(success=True, message=said)
+        return Experiment.Response(success=True, message=message)
 
     def _stop(self) -> str:
         """End the experiment that runs; returns what happens now.
@@ -115,7 +120,8 @@ class Experimenter(Desk):
             answer = self.answer_of(self._get, GetParameters.Request(names=list(_ASKED)))
             usual = [parameter_value_to_python(value) for value in answer.values]
         if len(usual) == len(_ASKED) and None not in usual:
-            lowest, highest = (each if isinstance(each, Sequence) else [each] for each in usual[:2])
+            lowest = _by_output(usual[0])
+            highest = _by_output(usual[1])
             wish = replace(wish, ranges=tuple(zip(lowest, highest, strict=True)))
         if run and usual[-1:] != ["profile"]:
             raise ExperimentError(
@@ -170,8 +176,8 @@ class Experimenter(Desk):
             ExperimentError: it refuses, or does not answer.
         """
         course = {"course.levels": levels, "course.holds": holds, "course.followed": True}
-        given = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
-        answer = self.answer_of(self._set, SetParametersAtomically.Request(parameters=given))
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
+        answer = self.answer_of(self._set, SetParametersAtomically.Request(parameters=parameters))
         if not answer.result.successful:
             raise ExperimentError(f"the controller refuses: {answer.result.reason}")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -23,12 +24,19 @@ class MessageError(TwinmatchError):
     """A message is not what its description says."""
 
 
-MAX_TEXT: Final = 20_000
-"""Longest text, characters."""
-MAX_VALUES: Final = 200_000
-"""Longest list."""
-MAX_STRUCTURES: Final = 32
-"""Most structures of other processes whose names this process keeps."""
+@dataclass(frozen=True)
+class FieldSizes:
+    """The most that a field may hold; messages of twins and plants have far less."""
+
+    characters: int = 20_000
+    """Of a text."""
+    values: int = 200_000
+    """Of a list."""
+    structures: int = 32
+    """Of other processes, whose names this process keeps."""
+
+
+_MOST: Final = FieldSizes()
 GREATEST_INDEX: Final = 2**53
 """Indices below are exact as float64."""
 _INDICES: Final = frozenset({"sample", "first", "last", "index", "sequence", "fault_since", "miss_since"})
@@ -85,13 +93,13 @@ def _check_index(index: Any, name: str, plant: Expected) -> None:  # noqa: ARG00
 
 
 def _check_text(text: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
-    if len(text) > MAX_TEXT:
-        raise MessageError(f"{name} has {len(text)} characters; {MAX_TEXT} is the most")
+    if len(text) > _MOST.characters:
+        raise MessageError(f"{name} has {len(text)} characters; {_MOST.characters} is the most")
 
 
 def _check_list(values: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
-    if len(values) > MAX_VALUES:
-        raise MessageError(f"{name} has {len(values)} values; {MAX_VALUES} is the most")
+    if len(values) > _MOST.values:
+        raise MessageError(f"{name} has {len(values)} values; {_MOST.values} is the most")
 
 
 def _check_texts(texts: Any, name: str, plant: Expected) -> None:
@@ -131,9 +139,9 @@ def _check_parameters(parameters: Any, name: str, plant: Expected) -> None:
         raise MessageError(f"{name}: {plant.name} has no structure {parameters.structure!r}")
     if is_marked(parameters.structure):
         _structures.add((parameters.plant, parameters.structure))
-        if len(_structures) > MAX_STRUCTURES:
+        if len(_structures) > _MOST.structures:
             _structures.discard((parameters.plant, parameters.structure))
-            raise MessageError(f"{name}: more than {MAX_STRUCTURES} structures are FMUs")
+            raise MessageError(f"{name}: more than {_MOST.structures} structures are FMUs")
 
 
 _PARTS: Final[dict[str, Test]] = {

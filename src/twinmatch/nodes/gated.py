@@ -159,18 +159,18 @@ class OutputGate:
     def decide(self) -> Decision:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
         with self._news:
-            now, _ = self._now()
+            safety_now, _ = self._now()
             clock = self._safety_clock
             guards = self._guards
             if clock.stopped:
                 if self.armed:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
                     self.trip(FaultKind.CLOCK, message)
-                return Decision((0.0,) * len(guards), False, self._index, now)
-            passed = [guard.passed for guard in guards]
+                return Decision((0.0,) * len(guards), False, self._index, safety_now)
+            passed_values = [guard.passed for guard in guards]
             for k, guard in enumerate(guards):
-                beside = (*passed[:k], *passed[k + 1 :], *self.beside)
-                guard.output(now, np.array(beside) if beside else None)
+                beside = (*passed_values[:k], *passed_values[k + 1 :], *self.beside)
+                guard.output(safety_now, np.array(beside) if beside else None)
             fault = next(filter(None, (guard.fault for guard in guards)), None)
             for guard in guards:
                 if fault is not None:
@@ -178,7 +178,7 @@ class OutputGate:
             if not self.armed:
                 for guard in guards:
                     guard.passed = 0.0
-            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, now)
+            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, safety_now)
 
     def wait(self, timeout: float) -> None:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
@@ -193,13 +193,13 @@ class OutputGate:
     def _take(self, take: Callable[..., None], *signals: Any, stamp: int | None = None) -> None:
         """Hand each guard its values with the time now, and with their age if they have a stamp (ns)."""
         with self._news:
-            now, times = self._now()
+            safety_now, times = self._now()
             age = () if stamp is None else ((times.stamps - stamp) / 1e9,)
             rows = list(map(point_values, signals))
             if wrong := [len(row) for row in rows if len(row) != len(self._guards)]:
                 raise MessageError(f"it has {wrong[0]} values for {len(self._guards)} drives")
             for guard, values in zip(self._guards, zip(*rows, strict=True), strict=True):
-                take(guard, *values, now, *age)
+                take(guard, *values, safety_now, *age)
             self._news.notify_all()
 
     def _now(self) -> tuple[float, ClockTimes]:
@@ -211,15 +211,15 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
     """The parameters of the limits of a plant; `note` explains the default of the temperature's timeout."""
     most = max(map(abs, usual.commands))
     names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
-    silence, *others = parameters_of(usual, **names)
+    silence, *further = parameters_of(usual, **names)
     *runaway, full = parameters_of(usual.runaway, "runaway.", **names)
     heat = (parameters_of(getattr(usual, name), f"{name}.", **names) for name in ("budget", "observer"))
     clock = "Zero when /clock stands still for this long, by the wall clock."
     return (
         silence,
-        others[0],
+        further[0],
         Setting("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
-        *others[1:],
+        *further[1:],
         *runaway,
         replace(full, low=most / 255.0, high=most),
         *itertools.chain.from_iterable(heat),
@@ -286,7 +286,7 @@ class DriverThread(Background, ABC, Generic[Link]):
         self._health = health
         self._pace = pace or DriverPace()
         self._clear_wanted = threading.Event()
-        self._known = False  # whether the hardware has answered before
+        self._has_answered = False
         self._driving = False  # whether the last command had passed the gate
         self._sent_at = 0.0
         self._attempts = 0
@@ -333,7 +333,7 @@ class DriverThread(Background, ABC, Generic[Link]):
         try:
             if not self.link.is_open:
                 self._connect()
-                self._known = True
+                self._has_answered = True
                 self._attempts = 0
                 self._health.count("connections")
                 self._health.withdraw("link")
@@ -417,7 +417,8 @@ class GatedNode(TwinmatchNode):
         Who publishes `inputs`, which decide about heat, is watched.
         """
         if self.step is not None:
-            driver.step, driver.link.plant_time = self.step, self.step.breathe
+            driver.step = self.step
+            driver.link.plant_time = self.step.breathe
         self._driver = driver
         self._moves = self.get_clock().create_jump_callback(EVERY_MOVE, post_callback=self.gate.wake)
         self.beside.append(driver)
@@ -472,14 +473,14 @@ class GatedNode(TwinmatchNode):
         self.gate.sample(sample.references, sample.outputs, sample.inputs)
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        said = self._accusations.take(
+        accusation = self._accusations.take(
             verdict.sample,
             trusted=verdict.level is TrustLevel.TRUSTED,
             fault=verdict.fault,
             reason=verdict.reason,
         )
-        if said is not None and not self.reads_through(verdict):
-            self.end(FaultKind.TWIN, said)
+        if accusation is not None and not self.reads_through(verdict):
+            self.end(FaultKind.TWIN, accusation)
 
     def reads_through(self, _: Verdict) -> bool:
         """Whether the drive continues without what a trusted twin accuses."""

@@ -25,14 +25,6 @@ from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
 from twinmatch_msgs.srv import Past
 
-MAX_SAMPLES = 2000
-"""Most samples in one answer: some milliseconds of work."""
-MAX_MESSAGES = 20
-"""Most matches, and most verdicts, in one answer."""
-
-AHEAD = 100
-"""Messages that may be about samples not received yet; there is at most one about each sample."""
-
 LINGER = 2.0
 """Time after a request during which the process stays up for the next one, wall s."""
 
@@ -48,6 +40,13 @@ TOPICS: Final = {
 class RunStore:
     """What is kept of one session, from its first sample on."""
 
+    MAX_SAMPLES: Final = 2000
+    """Most samples in one answer: some milliseconds of work."""
+    MAX_MESSAGES: Final = 20
+    """Most matches, and most verdicts, in one answer."""
+    AHEAD: Final = 100
+    """Messages that may be about samples not received yet; there is at most one about each sample."""
+
     def __init__(self) -> None:
         """Start empty."""
         self.samples = SampleSpool()
@@ -59,7 +58,7 @@ class RunStore:
         """Take a serialised message about a sample; returns whether there is room for it."""
         if kind in self.counts:
             self.counts[kind] += 1
-        elif len(self.messages[kind]) < len(self.samples) + AHEAD:
+        elif len(self.messages[kind]) < len(self.samples) + self.AHEAD:
             self.messages[kind].push(data)
         else:
             return False
@@ -69,25 +68,31 @@ class RunStore:
         """What was requested, as far as it fits: samples only up to the first about which there is more."""
         answer = Past.Response(heard=self.samples.end)
         end = request.first + request.count
-        for (kind, kept), name, known in zip(
-            self.messages.items(), ("match", "score"), (request.matches, request.scores), strict=True
-        ):
-            said = [deserialize_message(data, kind) for data in kept.since(known, MAX_MESSAGES)]
-            if known + len(said) < len(kept):
-                end = min(end, said[-1].sample)
-            setattr(answer, name, said)
-        rows = self.samples.rows(request.first, max(0, end - request.first), MAX_SAMPLES)
+        answer.match, match_end = self._messages(Match, request.matches, end)
+        answer.score, end = self._messages(ModelScore, request.scores, match_end)
+        rows = self.samples.rows(request.first, max(0, end - request.first), self.MAX_SAMPLES)
         for name in ("index", "stamp", *SAMPLED):
             setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
-        answer.matches_heard, answer.scores_heard = map(len, self.messages.values())
-        answer.forecasts_heard, answer.states_heard = self.counts.values()
+        answer.matches_heard = len(self.messages[Match])
+        answer.scores_heard = len(self.messages[ModelScore])
+        answer.forecasts_heard = self.counts[Forecast]
+        answer.states_heard = self.counts[TwinState]
         return answer
+
+    def _messages(self, kind: Any, received: int, end: int) -> tuple[list[Any], int]:
+        """The messages of a kind after the first `received`, and before which sample (`end` at most) there
+        are no more of them than these."""
+        spool = self.messages[kind]
+        messages = [deserialize_message(data, kind) for data in spool.since(received, self.MAX_MESSAGES)]
+        if received + len(messages) < len(spool):
+            end = min(end, messages[-1].sample)
+        return messages, end
 
     def close(self) -> None:
         """Release the files."""
         self.samples.close()
-        for kept in self.messages.values():
-            kept.close()
+        for spool in self.messages.values():
+            spool.close()
 
 
 class Keeper(TwinmatchNode):
@@ -96,9 +101,9 @@ class Keeper(TwinmatchNode):
     NAME = KEEPER
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """No parameters: those given to its process are for the other nodes in it."""
-        return (), {name: value for name, value in given.items() if name.startswith(BUILT_IN)}
+        return (), {name: value for name, value in overrides.items() if name.startswith(BUILT_IN)}
 
     def open(self) -> None:
         """Subscribe and offer the service."""
@@ -115,8 +120,8 @@ class Keeper(TwinmatchNode):
     def report(self) -> Report:
         """The numbers of samples and messages kept."""
         self.health.set("samples", len(self._store.samples))
-        for kind, kept in self._store.messages.items():
-            self.health.set(TOPICS[kind], len(kept))
+        for kind, spool in self._store.messages.items():
+            self.health.set(TOPICS[kind], len(spool))
         return super().report()
 
     def close(self) -> bool:

@@ -112,24 +112,24 @@ class LawDesk(Desk):
         sample = leader.sample
         holding = Holding(settings.law, settings.period, settings.schedule.span)
         with one_thread():
-            found = try_now(tried_twins(snapshot), law, holding, np.array(sample.references))
+            tried = try_now(tried_twins(snapshot), law, holding, np.array(sample.references))
         vectors = [outlook.parameters.vector.tobytes() for outlook in snapshot.outlooks.values()]
         family = hashlib.blake2b(b"".join([*vectors, repr(gains).encode()]), digest_size=6).hexdigest()
         answer = LawReport(
             sample.index,
             TrialPhase.ANSWERED,
-            decision=found.answer.decision.value,
+            decision=tried.answer.decision.value,
             family=family,
-            reason=found.answer.sentence,
+            reason=tried.answer.sentence,
         )
         self._trying = request.run  # the reader of the answer may ask at once
         self._publish(answer.of(gains))
         if request.run:
-            self._run(request, found, gains, answer)
+            self._run(request, tried, gains, answer)
             self._trying = False
 
     def _run(
-        self, request: TryLaw.Request, found: TrialAnswer, gains: Sequence[PidGains], answer: LawReport
+        self, request: TryLaw.Request, tried: TrialAnswer, gains: Sequence[PidGains], answer: LawReport
     ) -> None:
         """Have the controller put a law on trial that was answered about.
 
@@ -142,9 +142,12 @@ class LawDesk(Desk):
         if answer.decision != "safe" and not request.although:
             raise RefusedLawError(f"not run, since it {answer.reason}")
         self._word = request.request or secrets.token_hex(4)
+        by_name = {}
+        for name in GAINS:
+            by_name[name] = [getattr(loop_gains, name) for loop_gains in gains]
         asked = ApplyLaw.Request(
-            low=found.low.ravel().tolist(),
-            high=found.high.ravel().tolist(),
+            low=tried.low.ravel().tolist(),
+            high=tried.high.ravel().tolist(),
             shadow=round(request.shadow / self._node.settings.period),
             patience=PATIENCE,
             sample=answer.sample,
@@ -152,13 +155,13 @@ class LawDesk(Desk):
             although=request.although,
             family=answer.family,
             request=self._word,
-            **{name: [getattr(each, name) for each in gains] for name in GAINS},
+            **by_name,
         )
         assert self._signature is not None  # noqa: S101 — or the request was refused
         asked.signature = self._signature.of(asked)
-        said: Any = self.answer_of(self._apply, asked)
-        if not said.success:
-            raise RefusedLawError(said.message)
+        response: Any = self.answer_of(self._apply, asked)
+        if not response.success:
+            raise RefusedLawError(response.message)
 
     def _end_request(self) -> None:
         """The next one may come; without a law on trial it is nobody's turn."""

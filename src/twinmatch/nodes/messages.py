@@ -35,8 +35,8 @@ LOOP: Final = ("reference", "output", "input")
 
 def time_message(stamp: int) -> Time:
     """A stamp (ns) as a message."""
-    seconds, rest = divmod(stamp, NANOSECONDS)
-    return Time(sec=seconds, nanosec=rest)
+    seconds, nanoseconds_left = divmod(stamp, NANOSECONDS)
+    return Time(sec=seconds, nanosec=nanoseconds_left)
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -190,9 +190,9 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     if lost.size and not (lost.min() >= 0 and lost.max() < samples):
         msg = f"match request: lost samples {list(message.lost)} lie outside its window of {samples} samples"
         raise SignalError(msg)
-    seen = np.ones(samples, dtype=np.bool_)
-    seen[lost] = False
-    window = Window(**signals, first=message.first, period=message.period, seen=seen)
+    is_seen = np.ones(samples, dtype=np.bool_)
+    is_seen[lost] = False
+    window = Window(**signals, first=message.first, period=message.period, seen=is_seen)
     return MatchRequest(message.sample, point_of(message.operating_point), window, start, incumbent)
 
 
@@ -220,8 +220,8 @@ def forecast_message(
     rows = slice(None) if samples is None else np.array(samples) - 1
     columns = {"time": forecast.time, "reference": forecast.references}
     for name, bands in (("output", forecast.outputs), ("input", forecast.inputs)):
-        for edge, of in _EDGES.items():
-            columns[f"{name}{edge}"] = np.stack([getattr(band, of) for band in bands], axis=1)
+        for edge, band_field in _EDGES.items():
+            columns[f"{name}{edge}"] = np.stack([getattr(band, band_field) for band in bands], axis=1)
     message = messages.Forecast(
         sample=forecast.sample,
         candidate=forecast.candidate,
@@ -235,11 +235,6 @@ def forecast_message(
 
 def forecast_from(message: messages.Forecast) -> Forecast:
     """A forecast from `Forecast`."""
-    size = len(message.time)
-    outputs, inputs = (
-        [np.array(getattr(message, f"{name}{edge}")).reshape(size, -1).T for edge in _EDGES]
-        for name in ("output", "input")
-    )
     return Forecast(
         sample=message.sample,
         candidate=message.candidate,
@@ -247,10 +242,17 @@ def forecast_from(message: messages.Forecast) -> Forecast:
         confidence=message.confidence,
         time=np.array(message.time),
         references=np.array(message.reference),
-        outputs=tuple(map(Band, *outputs)),
-        inputs=tuple(map(Band, *inputs)),
+        outputs=_bands_from(message, "output"),
+        inputs=_bands_from(message, "input"),
         notes=tuple(message.notes),
     )
+
+
+def _bands_from(message: messages.Forecast, name: str) -> tuple[Band, ...]:
+    """The band of each output, or of each input, of a forecast."""
+    size = len(message.time)
+    edges = [np.array(getattr(message, f"{name}{edge}")).reshape(size, -1).T for edge in _EDGES]
+    return tuple(map(Band, *edges))
 
 
 def question_from(request: services.WhatIf.Request) -> Question:
@@ -269,17 +271,17 @@ def question_from(request: services.WhatIf.Request) -> Question:
     )
 
 
+def _moment(moment: float | None) -> float:
+    return math.nan if moment is None else moment
+
+
 def answer_message(answer: WhatIfResult, stamp: int) -> services.WhatIf.Response:
     """An answer as a response; `stamp` (ns) is that of the newest sample it was made from."""
-    moments = {
-        f"{name}{edge}": math.nan if moment is None else moment
-        for name, crossing in (("reach", answer.reached), ("hold", answer.settled))
-        for edge, moment in (
-            ("", crossing.expected),
-            ("_earliest", crossing.earliest),
-            ("_latest", crossing.latest),
-        )
-    }
+    moments = {}
+    for name, crossing in (("reach", answer.reached), ("hold", answer.settled)):
+        moments[name] = _moment(crossing.expected)
+        moments[f"{name}_earliest"] = _moment(crossing.earliest)
+        moments[f"{name}_latest"] = _moment(crossing.latest)
     return services.WhatIf.Response(
         success=True,
         forecast=forecast_message(answer.forecast, stamp),

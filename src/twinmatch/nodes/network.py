@@ -132,15 +132,15 @@ def _with_lease(profile: Path, seconds: str) -> Path:
         raise NetworkError(f"network: {LEASE} is {seconds!r}; give whole seconds")
     changed = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", profile.read_text("utf-8"))
     digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
-    made = cache_folder() / f"{profile.stem}-{digest}.xml"
+    profile_copy = cache_folder() / f"{profile.stem}-{digest}.xml"
     try:
-        made.parent.mkdir(parents=True, exist_ok=True)
-        part = made.with_name(f"{made.name}.{os.getpid()}")
+        profile_copy.parent.mkdir(parents=True, exist_ok=True)
+        part = profile_copy.with_name(f"{profile_copy.name}.{os.getpid()}")
         part.write_text(changed, "utf-8")
-        part.replace(made)
+        part.replace(profile_copy)
     except OSError as error:
-        raise NetworkError(f"network: {made} cannot be written ({error.strerror})") from error
-    return made
+        raise NetworkError(f"network: {profile_copy} cannot be written ({error.strerror})") from error
+    return profile_copy
 
 
 def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
@@ -194,12 +194,12 @@ def sockets_elsewhere(process: int | str = "self") -> list[str]:
     (which receives only from the interfaces it joined on). Empty where there is no /proc.
     """
     inodes = set(_socket_inodes(process))
-    return [
-        f"{kind} {address}:{port}"
-        for kind in ("udp", "udp6", "tcp", "tcp6")
-        for address, port, inode in _bound(process, kind)
-        if inode in inodes and not (address.is_loopback or address.is_multicast)
-    ]
+    elsewhere = []
+    for kind in ("udp", "udp6", "tcp", "tcp6"):
+        for address, port, inode in _bound(process, kind):
+            if inode in inodes and not (address.is_loopback or address.is_multicast):
+                elsewhere.append(f"{kind} {address}:{port}")
+    return elsewhere
 
 
 def _check_domain(value: str) -> None:
@@ -212,15 +212,13 @@ def _check_domain(value: str) -> None:
 
 def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> Mapping[str, Path]:
     """The profiles for the installed version of Fast DDS; all of them if none is found."""
-    prefixes = [
-        Path(prefix) for prefix in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix
-    ]
-    here = {
-        name: profile
-        for name, profile in profiles.items()
-        if any((prefix / "share" / VERSIONS[name]).is_dir() for prefix in prefixes)
-    }
-    return here or profiles
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    shares = [Path(prefix) / "share" for prefix in prefixes if prefix]
+    of_installed_version = {}
+    for name, profile in profiles.items():
+        if any((share / VERSIONS[name]).is_dir() for share in shares):
+            of_installed_version[name] = profile
+    return of_installed_version or profiles
 
 
 def _find_wheels(environment: MutableMapping[str, str]) -> None:

@@ -227,10 +227,11 @@ class TwinmatchNode(Node):
         """
         course = self.entrance.course(msg_type, topic)
         take = self.entrance.before(msg_type, topic, callback, course, raw=options.get("raw", False))
-        made = super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
+        raw_options = options | {"raw": True}
+        subscription = super().create_subscription(msg_type, topic, take, qos_profile, **raw_options)
         if course is not None and course.owned:
-            course.second = self.entrance.second(made)
-        return made
+            course.second = self.entrance.second(subscription)
+        return subscription
 
     def destroy_subscription(self, subscription: Any) -> bool:
         """Destroy a subscription, and what watches it."""
@@ -265,13 +266,13 @@ class TwinmatchNode(Node):
             self._diagnostics.publish(message)
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The node's parameters, which may depend on the given values, and the given values to check.
 
         Raises:
             ParameterError: the given values contradict each other.
         """
-        return cls.PARAMETERS, given
+        return cls.PARAMETERS, overrides
 
     def read_parameters(self) -> None:
         """Derive what the node needs from `self.values`; after an error here there is no node.
@@ -297,7 +298,8 @@ class TwinmatchNode(Node):
     @property
     def failure(self) -> Exception | None:
         """The error with which the process has to end, if any."""
-        return self.failed or next((one.failure for one in self.beside if one.failure is not None), None)
+        failures = (part.failure for part in self.beside)
+        return self.failed or next((failure for failure in failures if failure is not None), None)
 
     @property
     def busy(self) -> bool:
@@ -310,11 +312,11 @@ class TwinmatchNode(Node):
 
     def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
         """Handle `ros2 param set`: check against the table, then let the node adopt the values."""
-        given = {parameter.name: parameter.value for parameter in parameters}
+        requested = {parameter.name: parameter.value for parameter in parameters}
         table = {parameter.name: parameter for parameter in self.table_for(self.values)[0]}
         values = dict(self.values)
         try:
-            for name, value in given.items():
+            for name, value in requested.items():
                 if name not in table:  # a parameter that every ROS 2 node has
                     continue
                 if not table[name].changeable:
@@ -340,10 +342,10 @@ def declare(
     Raises:
         ParameterError: as for `check`.
     """
-    given = {name: one.value for name, one in node.get_parameters_by_prefix("").items()}
-    table, known = table_for(given)
-    values = check(node.get_name(), table, known)
-    for name in (*(name for name in given if name not in known), *(p.name for p in table)):
+    overrides = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    table, to_check = table_for(overrides)
+    values = check(node.get_name(), table, to_check)
+    for name in (*(name for name in overrides if name not in to_check), *(p.name for p in table)):
         if node.has_parameter(name):
             node.undeclare_parameter(name)
     for parameter in table:

@@ -68,7 +68,8 @@ class Stream:
         """Indices of the samples to fetch now; live samples are held back until then."""
         self._give = give
         self._learn = learn
-        self._known = [0, 0 if verdicts else NONE]  # matches and verdicts
+        self._matches = 0  # numbers of matches and verdicts that were received
+        self._verdicts = 0 if verdicts else NONE
         self._end = 0  # index of the newest sample passed on, plus one
         self._live: deque[Indexed] = deque()
 
@@ -92,8 +93,12 @@ class Stream:
         """What to request now; None: nothing."""
         if self.missing is None:
             return None
-        matches, scores = self._known
-        return Past.Request(first=self.missing.start, count=len(self.missing), matches=matches, scores=scores)
+        return Past.Request(
+            first=self.missing.start,
+            count=len(self.missing),
+            matches=self._matches,
+            scores=self._verdicts,
+        )
 
     def answered(self, answer: Past.Response) -> bool:
         """Take an answer: some of what is missing, and what the keeper has received.
@@ -103,19 +108,19 @@ class Stream:
         missing = self.missing
         if missing is None:
             return False
-        said = len(answer.match), len(answer.score)
-        if self._known[0] < NONE:
+        if self._matches < NONE:
             self._learn(answer)
-        self._known = [min(known + new, NONE) for known, new in zip(self._known, said, strict=True)]
-        more = self._known[0] < answer.matches_heard or self._known[1] < answer.scores_heard
+        self._matches = min(self._matches + len(answer.match), NONE)
+        self._verdicts = min(self._verdicts + len(answer.score), NONE)
+        lacks_messages = self._matches < answer.matches_heard or self._verdicts < answer.scores_heard
         samples = list(samples_of_answer(answer))
         for sample in samples:
             self._pass_on(sample)
         self.missing = range(self._end, missing.stop)
-        if not more and (not self.missing or (not samples and answer.heard >= missing.stop)):
+        if not lacks_messages and (not self.missing or (not samples and answer.heard >= missing.stop)):
             self.skip()
             return True
-        return bool(samples) or any(said)
+        return bool(samples) or len(answer.match) > 0 or len(answer.score) > 0
 
     def skip(self) -> None:
         """Skip what is still missing, and pass on what was held back."""
@@ -134,22 +139,22 @@ class Stream:
     def _pass_on(self, sample: Indexed) -> None:
         self._end = sample.index + 1
         if self.missing is None:
-            self._known = [NONE, NONE]  # from now on they are received
+            self._matches = NONE  # from now on they are received
+            self._verdicts = NONE
         self._give(sample)
-
-
-INTERVAL = 0.05
-"""Interval between two checks for missing samples, wall s."""
-ANSWER = 2.0
-"""Time after which an unanswered request is dropped, wall s; the keeper needs milliseconds."""
-PATIENCE = 6.0
-"""Time without progress after which a node gives up on what is missing, wall s."""
-MAX_WAITING = 4000
-"""Fetched samples waiting for the worker or the disk above which no more are requested."""
 
 
 class CatchingUp:
     """Requests what a stream is missing: one request at a time, which is repeated if it is not answered."""
+
+    INTERVAL: Final = 0.05
+    """Interval between two checks for missing samples, wall s."""
+    ANSWER: Final = 2.0
+    """Time after which an unanswered request is dropped, wall s; the keeper needs milliseconds."""
+    PATIENCE: Final = 6.0
+    """Time without progress after which a node gives up on what is missing, wall s."""
+    MAX_WAITING: Final = 4000
+    """Fetched samples waiting for the worker or the disk above which no more are requested."""
 
     def __init__(
         self,
@@ -179,18 +184,18 @@ class CatchingUp:
         self._requested_at = 0.0
         self._since: float | None = None  # start of the wait without progress
         self._opened = time.monotonic()
-        node.wall_timer(INTERVAL, self.request)
+        node.wall_timer(self.INTERVAL, self.request)
 
     def request(self) -> None:
         """Request what is missing, unless a request is pending; give up when patience ends."""
         wanted = self._stream.wanted()
-        now = time.monotonic()
+        wall_now = time.monotonic()
         if wanted is None:
             self._since = None
             return
         if self._since is None:
-            self._since = now
-        if now - self._since > self._patience:
+            self._since = wall_now
+        if wall_now - self._since > self._patience:
             last = wanted.first + wanted.count - 1
             why = f"samples {wanted.first} to {last} are missing and cannot be fetched"
             self._node.health.flag("past", Level.WARN, why)
@@ -198,13 +203,13 @@ class CatchingUp:
             self._since = None
             self._stream.skip()
         elif self._pending is not None:
-            if now - self._requested_at > ANSWER:
+            if wall_now - self._requested_at > self.ANSWER:
                 self._drop()  # the answer to a process that was suspended may be lost
-        elif self._client.service_is_ready() and self._ready(now - self._opened):
-            if self._waiting() > MAX_WAITING:
-                self._since = now  # the worker is busy with what was fetched
+        elif self._client.service_is_ready() and self._ready(wall_now - self._opened):
+            if self._waiting() > self.MAX_WAITING:
+                self._since = wall_now  # the worker is busy with what was fetched
                 return
-            self._requested_at = now
+            self._requested_at = wall_now
             self._pending = self._client.call_async(wanted)
             self._pending.add_done_callback(self._on_done)
 
@@ -321,8 +326,8 @@ class RecorderPast:
                 stamp = nanoseconds(message.header.stamp)
                 self._hold(Kept(message.sample, name, data, stamp, live=False))
 
-    def _hold(self, kept: Kept) -> None:
-        insort(self._about, kept, key=lambda one: (one.index, one.name))
+    def _hold(self, message: Kept) -> None:
+        insort(self._about, message, key=lambda waiting: (waiting.index, waiting.name))
 
     def _on_next(self, sample: Kept | Sample) -> None:
         self._write_before(sample.index)
@@ -336,9 +341,9 @@ class RecorderPast:
     def _write_before(self, index: int) -> None:
         """Write the messages about samples before this one."""
         while self._about and self._about[0].index < index:
-            one = self._about.pop(0)
-            if not (one.live and self._is_copy(one.name, one.data)):
-                self._write(one.name, one.data, one.stamp)
+            message = self._about.pop(0)
+            if not (message.live and self._is_copy(message.name, message.data)):
+                self._write(message.name, message.data, message.stamp)
 
     def _is_copy(self, name: str, data: bytes) -> bool:
         return self._copies.found(name, lambda: values_of(data, self._kinds[name]))

@@ -225,14 +225,14 @@ class Player(TwinmatchNode):
         recorded = log_time / 1e9
         with self._change:
             while not self._thread.ending.is_set():
-                now = time.monotonic()
+                wall_now = time.monotonic()
                 if not self._paused:
-                    self._pace.resume(now)
-                wait = self._pace.wait(recorded, now)
+                    self._pace.resume(wall_now)
+                wait = self._pace.wait(recorded, wall_now)
                 if wait == 0:
-                    self._pace.reach(recorded, now)
+                    self._pace.reach(recorded, wall_now)
                     return True
-                self._publish_clock(min(log_time, round(self._pace.position(now) * 1e9)))
+                self._publish_clock(min(log_time, round(self._pace.position(wall_now) * 1e9)))
                 self._change.wait(TICK if wait is None else min(wait, TICK))
         return False
 
@@ -240,9 +240,9 @@ class Player(TwinmatchNode):
         self._publishers_of[message.topic.name].publish(message.data)
         self._played += 1
 
-    def _publish_clock(self, at: int) -> None:
+    def _publish_clock(self, recorded: int) -> None:
         if self._clock_publisher is not None:
-            self._clock_publisher.publish(Clock(clock=Time(nanoseconds=at).to_msg()))
+            self._clock_publisher.publish(Clock(clock=Time(nanoseconds=recorded).to_msg()))
 
     def _wait_for_delivery(self, deadline: float | None = None) -> bool:
         """Wait until the readers have received what was published; returns whether they have.

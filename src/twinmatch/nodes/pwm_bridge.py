@@ -64,7 +64,7 @@ class PwmDriver(DriverThread[PwmLink]):
         elif flags & Flags.BUDGET:
             tripped = "the board has switched off: high drive for longer than a plant needs"
             self._gate.trip(FaultKind.BOARD, f"{tripped}; check sensor and drive, let it cool")
-        elif not self._known:
+        elif not self._has_answered:
             self.link.clear()
         elif flags & Flags.RESET:
             self._gate.trip(FaultKind.BOARD, "the PWM board restarted; find the cause")

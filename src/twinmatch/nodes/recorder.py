@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -30,12 +30,24 @@ from twinmatch.sessions.messages import decode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
 from twinmatch.sessions.recording import FLUSH
 
-RHYTHM = 10
-"""Messages after which a topic is expected to keep its rate."""
-MIN_LENGTH = 3.0
-"""Shortest silence, s."""
-SILENCE = 10
-"""Silence in mean intervals between messages."""
+
+@dataclass(frozen=True)
+class Silence:
+    """When a topic counts as silent: it had a rate, and has missed ten messages of it, and at least 3 s."""
+
+    rhythm: int = 10
+    """Messages after which a topic is expected to keep its rate."""
+    shortest: float = 3.0
+    """Shortest silence, s."""
+    intervals: int = 10
+    """Silence in mean intervals between messages."""
+
+    def after(self, rate: float) -> float:
+        """Time without a message after which a topic of this rate (1/s) is silent, s."""
+        return max(self.shortest, self.intervals / rate)
+
+
+_SILENCE: Final = Silence()
 
 
 @dataclass
@@ -66,21 +78,14 @@ class Arrivals:
 
     def silent(self, now: float) -> bool:
         """Whether a topic with a known rate has gone silent."""
-        if self.count < RHYTHM or self.rate == 0:
+        if self.count < _SILENCE.rhythm or self.rate == 0:
             return False
-        return now - self.last > max(MIN_LENGTH, SILENCE / self.rate)
+        return now - self.last > _SILENCE.after(self.rate)
 
     def text(self) -> str:
         """Rate and count as text."""
         lost = f", {self.lost} lost" if self.lost else ""
         return f"{self.rate:.1f} Hz, {self.count} messages{lost}"
-
-
-PATIENCE = 3.0
-"""Wall seconds after which a node that has not answered is asked again."""
-
-MAX_NAMES = 1000
-"""Most parameters of a node that are asked for."""
 
 
 class NodeSettings:
@@ -90,15 +95,20 @@ class NodeSettings:
     answer shows it.
     """
 
+    PATIENCE: Final = 3.0
+    """Wall seconds after which a node that has not answered is asked again."""
+    MAX_NAMES: Final = 1000
+    """Most parameters of a node that are asked for."""
+
     def __init__(self, node: TwinmatchNode, tell: Tell) -> None:
         """`tell` is called with the name and the values of each record, in the executor's thread."""
         self._node = node
         self._tell = tell
-        self._own = node.get_fully_qualified_name()
+        self._own_name = node.get_fully_qualified_name()
         self._namespace = node.get_namespace().rstrip("/") + "/"
         self._clients: dict[str, list[Any]] = {}
         self._asked: dict[str, float] = {}  # when, s; without those that have answered
-        self._known: set[str] = set()
+        self._known_nodes: set[str] = set()
         self._answered: set[str] = set()  # since the last call
 
     def ask(self) -> None:
@@ -107,17 +117,17 @@ class NodeSettings:
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
         }
-        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own and "/_" not in n}
-        for done in self._answered | (self._clients.keys() - mine):
-            self._forget(done)
+        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own_name and "/_" not in n}
+        for name in self._answered | (self._clients.keys() - mine):
+            self._forget(name)
         self._answered.clear()
-        self._known &= mine
-        now = time.monotonic()
-        for name in mine - self._known:
-            if name in self._asked and now - self._asked[name] > PATIENCE:
+        self._known_nodes &= mine
+        wall_now = time.monotonic()
+        for name in mine - self._known_nodes:
+            if name in self._asked and wall_now - self._asked[name] > self.PATIENCE:
                 self._forget(name)
             if name not in self._asked:
-                self._ask(name, now)
+                self._ask(name, wall_now)
 
     def _ask(self, name: str, now: float) -> None:
         if name not in self._clients:
@@ -132,7 +142,8 @@ class NodeSettings:
         listing, getting = clients
 
         def get(future: Any) -> None:
-            names = list(future.result().result.names)[:MAX_NAMES] if future.result() is not None else []
+            listed = future.result()
+            names = [] if listed is None else list(listed.result.names)[: self.MAX_NAMES]
             answer = getting.call_async(GetParameters.Request(names=names))
             answer.add_done_callback(lambda done: self._take(name, names, done))
 
@@ -140,21 +151,27 @@ class NodeSettings:
 
     def _take(self, name: str, names: list[str], future: Any) -> None:
         answer = future.result()
-        usable = answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer)
-        values = [parameter_value_to_python(value) for value in answer.values] if usable else []
-        values = [list(v) if hasattr(v, "tolist") or isinstance(v, tuple) else v for v in values]
-        parameters = dict(zip(names, values, strict=False))
-        self._tell(parameters_record(name), {n: json.dumps(v) for n, v in parameters.items()})
+        parameters: dict[str, Any] = {}
+        if answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer):
+            for parameter, value in zip(names, answer.values, strict=False):
+                parameters[parameter] = _json_value(parameter_value_to_python(value))
+        texts = {parameter: json.dumps(value) for parameter, value in parameters.items()}
+        self._tell(parameters_record(name), texts)
         path = parameters.get("candidates")
         if isinstance(path, str) and path:
             self._tell(CANDIDATES, {"text": _read(path)})
         self._answered.add(name)
-        self._known.add(name)
+        self._known_nodes.add(name)
 
     def _forget(self, name: str) -> None:
         self._asked.pop(name, None)
         for client in self._clients.pop(name, []):
             self._node.destroy_client(client)
+
+
+def _json_value(value: Any) -> Any:
+    """A value of a parameter as JSON takes it: arrays are lists."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def _read(path: str) -> str:
@@ -163,15 +180,6 @@ def _read(path: str) -> str:
     except DocumentError:
         return ""  # unknown: then the session records no candidates
 
-
-SEARCH = 0.2
-"""Interval between two searches for new topics, s."""
-LEAVE = 3.0
-"""Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
-AHEAD = 100
-"""Messages queued for the disk above which a virtual plant in step waits."""
-MAX_WAITING = 64_000_000
-"""Bytes queued for the disk above which messages are dropped."""
 
 Job = Callable[[], None]
 
@@ -182,6 +190,15 @@ class RecorderNode(TwinmatchNode):
     The recording is flushed to disk every 0.4 s, so a killed recorder loses less than half a second;
     `twinmatch repair` repairs its session. On a full disk the recorder ends the process.
     """
+
+    SEARCH: Final = 0.2
+    """Interval between two searches for new topics, s."""
+    LEAVE: Final = 3.0
+    """Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
+    AHEAD: Final = 100
+    """Messages queued for the disk above which a virtual plant in step waits."""
+    MAX_WAITING: Final = 64_000_000
+    """Bytes queued for the disk above which messages are dropped."""
 
     NAME = "recorder"
     LINGER: ClassVar = 0.3
@@ -207,19 +224,22 @@ class RecorderNode(TwinmatchNode):
         self._kinds: dict[str, str] = {}
         self._unknown: set[str] = set()
         self._arrivals: dict[str, Arrivals] = {}
-        self._taken = self._written = self._dropped = 0  # bytes, bytes, messages
-        self._left = threading.Event()
+        self._bytes_taken = 0  # by the worker's queue
+        self._bytes_written = 0
+        self._dropped = 0  # messages
+        self._finished = threading.Event()
         self.worker = worker = Worker(self._do, self.health, backlog=5000)
         self.beside.append(worker)
         self._put = worker.put
         if values["continues"]:
             self._record(CONTINUES, {"session": values["continues"]})
         if self.step is not None:
-            self.step.wait_for(lambda: worker.depth > AHEAD)
+            self.step.wait_for(lambda: worker.depth > self.AHEAD)
         self._settings = NodeSettings(self, self._record)
         names = [self.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
         self._past = past = RecorderPast(names, self._keep)
-        self._judged, self._doubts = names, Doubts(self, self._record)
+        self._judged = names
+        self._doubts = Doubts(self, self._record)
         CatchingUp(
             self,
             past.stream,
@@ -227,7 +247,7 @@ class RecorderNode(TwinmatchNode):
             waiting=lambda: worker.depth,
             patience=past.PATIENCE,
         )
-        self.wall_timer(SEARCH, self._on_search)
+        self.wall_timer(self.SEARCH, self._on_search)
         self.wall_timer(FLUSH, partial(worker.put, self._recording.flush))
         self.get_logger().info(f"recording into {self._recording.folder}")
         self.health.say("recording")
@@ -240,7 +260,7 @@ class RecorderNode(TwinmatchNode):
         self.health.set("session", self._recording.folder)
         self.health.set("messages", self._recording.messages)
         self.health.set("topics", len(self._following))
-        self.health.set("bytes waiting", self._taken - self._written)
+        self.health.set("bytes waiting", self._bytes_taken - self._bytes_written)
         return super().report()
 
     def close(self) -> bool:
@@ -252,7 +272,7 @@ class RecorderNode(TwinmatchNode):
             self._doubts.look(math.inf)
             self._past.finish()
             self.worker.put(self._leave)
-            if not self._left.wait(LEAVE) and self.failure is None:
+            if not self._finished.wait(self.LEAVE) and self.failure is None:
                 print(
                     "recorder: ended before everything was written; run twinmatch repair on the session",
                     file=sys.stderr,
@@ -271,7 +291,7 @@ class RecorderNode(TwinmatchNode):
 
     def _leave(self) -> None:
         self._recording.close()
-        self._left.set()
+        self._finished.set()
 
     def _on_search(self) -> None:
         if self.get_clock().now().nanoseconds == 0:
@@ -315,35 +335,35 @@ class RecorderNode(TwinmatchNode):
         self._arrivals[name].push(arrived)
         if name == self._judged[0]:
             self._doubts.sample(decode_sample(data).index, arrived)
-        now = self.get_clock().now().nanoseconds
-        if self._past.take(name, data, now):
-            self._keep(name, data, now)
+        ros_now = self.get_clock().now().nanoseconds
+        if self._past.take(name, data, ros_now):
+            self._keep(name, data, ros_now)
 
-    def _keep(self, name: str, data: bytes, now: int) -> None:
-        if self._taken - self._written > MAX_WAITING:
+    def _keep(self, name: str, data: bytes, log_time: int) -> None:
+        if self._bytes_taken - self._bytes_written > self.MAX_WAITING:
             self._dropped += 1
             text = f"{self._dropped} messages were dropped: the disk is too slow"
             self.health.flag("dropped", Level.ERROR, text)
             return
-        self._taken += len(data)
-        self._put(partial(self._write, name, data, now))
+        self._bytes_taken += len(data)
+        self._put(partial(self._write, name, data, log_time))
 
     def _on_lost(self, name: str, event: Any) -> None:
         self._arrivals[name].lost += event.total_count_change
         self.health.flag("lost", Level.WARN, f"the middleware lost messages of {name}")
 
-    def _write(self, name: str, data: bytes, now: int) -> None:
-        self._recording.write(name, data, now)
-        self._written += len(data)
+    def _write(self, name: str, data: bytes, log_time: int) -> None:
+        self._recording.write(name, data, log_time)
+        self._bytes_written += len(data)
 
     def _record(self, name: str, values: Mapping[str, str]) -> None:
         self._put(partial(self._recording.add_record, name, values))
 
     def _report_topics(self) -> Report:
-        now = time.monotonic()
+        wall_now = time.monotonic()
         arrivals = dict(self._arrivals)
-        silent = [name for name, one in arrivals.items() if one.silent(now)]
-        values = {name: one.text() for name, one in arrivals.items()}
+        silent = [name for name, of_topic in arrivals.items() if of_topic.silent(wall_now)]
+        values = {name: of_topic.text() for name, of_topic in arrivals.items()}
         if silent:
             return Report(Level.WARN, f"silent: {', '.join(silent)}", values)
         return Report(Level.OK, f"{len(arrivals)} topics", values)

@@ -162,9 +162,9 @@ class Nodes:
             Exception: what ended a node.
         """
         self._executor.spin_once(timeout_sec=STEP)
-        for one in (*self._nodes, self._step):
-            if one is not None and one.failure is not None:
-                raise one.failure
+        for part in (*self._nodes, self._step):
+            if part is not None and part.failure is not None:
+                raise part.failure
         ended = [node.exit_code for node in self._nodes if node.exit_code is not None]
         return ended[0] if ended and not any(node.busy for node in self._nodes) else None
 

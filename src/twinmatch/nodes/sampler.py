@@ -33,9 +33,9 @@ class SamplerNode(TwinmatchNode):
     PARAMETERS: ClassVar = sampler_table()
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters for the selected plant."""
-        return understood(cls.NAME, given)
+        return understood(cls.NAME, overrides)
 
     def read_parameters(self) -> None:
         """Create the listener."""

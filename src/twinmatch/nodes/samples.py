@@ -6,7 +6,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from rclpy.publisher import Publisher
 
@@ -21,15 +21,6 @@ from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
-
-MAX_QUEUED = 100_000
-"""Most samples in memory; those that arrive meanwhile are fetched from the keeper later."""
-SETTLE = 1.0
-"""Time in which readers discover a new node, wall s; they may miss what it publishes earlier."""
-MAX_SETTLE = 3.0
-"""Longest wait for readers that are known but not connected, wall s."""
-AHEAD = 5
-"""Queued items above which a virtual plant in step waits."""
 
 
 class SampleWatch:
@@ -106,8 +97,8 @@ class Standstill(Background):
 
     def wait(self) -> None:
         """Wait until readers are connected again; returns at once unless the process was suspended."""
-        while not self.ending.is_set() and (left := self.remaining(time.monotonic())) > 0.0:
-            self.ending.wait(left)
+        while not self.ending.is_set() and (delay := self.remaining(time.monotonic())) > 0.0:
+            self.ending.wait(delay)
 
     def _watch(self) -> None:
         self.beat(time.monotonic())
@@ -118,12 +109,15 @@ class Standstill(Background):
 class TwinNode(TwinmatchNode):
     """A node of the twin: its settings, and a worker for long computations."""
 
+    AHEAD: Final = 5
+    """Queued items above which a virtual plant in step waits."""
+
     FIXED = "a replay must give the recorded verdicts"
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the selected plant and structure."""
-        return understood(cls.NAME, given)
+        return understood(cls.NAME, overrides)
 
     def read_parameters(self) -> None:
         """Create the settings of the twin."""
@@ -137,7 +131,7 @@ class TwinNode(TwinmatchNode):
         self.worker: Worker[Any] = Worker(self.work, self.health)
         self.beside += [self._standstill, self.worker]  # a wait for readers ends first
         if self.step is not None:
-            self.step.wait_for(lambda: self.worker.depth > AHEAD)
+            self.step.wait_for(lambda: self.worker.depth > self.AHEAD)
         self.report_on()
 
     @abstractmethod
@@ -166,6 +160,13 @@ class SampleNode(TwinNode):
     had run all the time. `learn` receives the results that the node's predecessor published.
     """
 
+    MAX_QUEUED: Final = 100_000
+    """Most samples in memory; those that arrive meanwhile are fetched from the keeper later."""
+    SETTLE: Final = 1.0
+    """Time in which readers discover a new node, wall s; they may miss what it publishes earlier."""
+    MAX_SETTLE: Final = 3.0
+    """Longest wait for readers that are known but not connected, wall s."""
+
     def read_parameters(self) -> None:
         """Create the settings, and the check of the samples."""
         super().read_parameters()
@@ -181,7 +182,7 @@ class SampleNode(TwinNode):
         )
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take results published before this node started; called before the samples they are about."""
 
     def report(self) -> Report:
@@ -191,7 +192,8 @@ class SampleNode(TwinNode):
 
     def _has_readers(self, age: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
-        self._connected = self._connected or age > MAX_SETTLE or (age > SETTLE and self._all_connected())
+        if not self._connected:
+            self._connected = age > self.MAX_SETTLE or (age > self.SETTLE and self._all_connected())
         return self._connected
 
     def _all_connected(self) -> bool:
@@ -200,7 +202,7 @@ class SampleNode(TwinNode):
         )
 
     def _on_sample(self, sample: Sample) -> None:
-        if self.worker.depth + self._stream.waiting > MAX_QUEUED:
+        if self.worker.depth + self._stream.waiting > self.MAX_QUEUED:
             self.health.count("samples left to be fetched")
             return
         self._stream.push(sample)

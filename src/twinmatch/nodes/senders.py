@@ -26,13 +26,13 @@ class Senders:
         self._node = node
         self._changed = changed
         self._topics = [node.resolve_topic_name(topic) for topic in topics]
-        self._found = ""
+        self._reported = ""
         node.wall_timer(LOOK, self._look)
 
     def _look(self) -> None:
         report = "; ".join(filter(None, map(self._report, self._topics)))
-        if report != self._found:
-            self._found = report
+        if report != self._reported:
+            self._reported = report
             self._changed(report)
             self._node.report_now()
 

@@ -38,7 +38,7 @@ class RunSignature:
 
     @classmethod
     def of_run(cls, environment: Mapping[str, str] = os.environ) -> RunSignature | None:
-        """That of this process; None if no secret was handed to it."""
+        """The signature of the run of this process; None if no secret was handed to it."""
         secret = environment.get(VARIABLE, "")
         return cls(secret) if len(secret) >= LEAST else None
 

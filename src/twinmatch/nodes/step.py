@@ -25,13 +25,6 @@ VARIABLE: Final = "TWINMATCH_IN_STEP"
 """Environment variable with the HOST:PORT of the virtual rig's clock; the launch scripts set it."""
 PATIENCE: Final = 45.0
 """Deadlines by the wall clock in a graph in step, s: more than the virtual rig waits for a process."""
-LEAD: Final = 2_000_000_000
-"""Plant time for which a process that commands nothing lets the plant continue, ns."""
-BREATH: Final = 5_000_000
-"""Plant time that passes while the board is waited for, per wait, ns."""
-SOON = 0.002
-IDLE = 0.2
-"""Intervals at which unfinished work is checked again, and a process without any, wall s."""
 
 
 class _Task:
@@ -54,6 +47,14 @@ class InStep(Background):
 
     All times are plant time in ns. `node` receives /clock.
     """
+
+    LEAD: Final = 2_000_000_000
+    """Plant time for which a process that commands nothing lets the plant continue, ns."""
+    BREATH: Final = 5_000_000
+    """Plant time that passes while the board is waited for, per wait, ns."""
+    SOON: Final = 0.002
+    IDLE: Final = 0.2
+    """Intervals at which unfinished work is checked again, and a process without any, wall s."""
 
     def __init__(self, node: Node, address: str) -> None:
         """Connect to the virtual rig at `address`.
@@ -116,7 +117,7 @@ class InStep(Background):
         """Let a moment of plant time pass for the board to answer; returns the time, s (None: at the end)."""
         if self.ending.is_set():
             return None
-        self._let(self._now + BREATH, "breathe")
+        self._let(self._now + self.BREATH, "breathe")
         return self._now / 1e9
 
     def close(self, timeout: float | None = None) -> bool:
@@ -127,19 +128,19 @@ class InStep(Background):
         return self._client.close() and ended
 
     def _on_clock(self, message: Clock) -> None:
-        now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
+        plant_now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
         with self._lock:
-            if now < self._now:  # the plant was restarted, or the time before was not its own
+            if plant_now < self._now:  # the plant was restarted, or the time before was not its own
                 self._until = self._sent = 0
                 for task in self._tasks:
                     task.due = 0
             self._busy = True
-            self._now = now
+            self._now = plant_now
         for task in self._tasks:
-            task.run_if_due(now)
+            task.run_if_due(plant_now)
         with self._lock:
             self._busy = False
-        if self._driving or now + LEAD - self._until >= LEAD // 2:
+        if self._driving or plant_now + self.LEAD - self._until >= self.LEAD // 2:
             self._news.set()
 
     def _keep_step(self) -> None:
@@ -147,7 +148,7 @@ class InStep(Background):
             self._news.clear()
             settled = self._let_if_done()
             if not self.ending.is_set():  # it may have been set before the news were cleared
-                self._news.wait(IDLE if settled else SOON)
+                self._news.wait(self.IDLE if settled else self.SOON)
 
     def _let_if_done(self) -> bool:
         """Let the plant continue if all work is done; returns whether it is."""
@@ -156,10 +157,10 @@ class InStep(Background):
         with self._lock:
             if self._busy or (self._driving and self._applied < self._sent):
                 return False
-            until = min(task.due for task in self._tasks) if self._driving else self._now + LEAD
+            until = min(task.due for task in self._tasks) if self._driving else self._now + self.LEAD
         if any(queued() for queued in self._queues):
             return False
-        if self._driving or until - self._until >= LEAD // 2:
+        if self._driving or until - self._until >= self.LEAD // 2:
             self._let(until, "drive")
         return True
 

@@ -50,8 +50,8 @@ MAX_SILENCE = 0.3
 def _seen_from_heater_2(limits: ObserverLimits) -> ObserverLimits:
     """The observer's limits with what is measured of a kit as heater 2 sees it."""
     measured = limits.measured().items()
-    known = ", ".join(f"{_SWAPPED.get(name, name)} = {value!r}" for name, value in measured)
-    return replace(limits, known=known)
+    swapped = ", ".join(f"{_SWAPPED.get(name, name)} = {value!r}" for name, value in measured)
+    return replace(limits, known=swapped)
 
 
 class KitDriver(DriverThread[KitLink]):
@@ -65,10 +65,10 @@ class KitDriver(DriverThread[KitLink]):
     ERRORS = KitError
 
     _sent = (0.0, 0.0)
-    _said_at = 0.0
+    _wall_sent_at = 0.0
 
     def _refusal(self, error: KitError) -> FaultKind | None:
-        if isinstance(error, KitAbsentError) and not self._known:
+        if isinstance(error, KitAbsentError) and not self._has_answered:
             raise error  # a kit that was never there is not waited for
         return FaultKind.BOARD if isinstance(error, KitSilentError) else None
 
@@ -81,17 +81,17 @@ class KitDriver(DriverThread[KitLink]):
         self._tell(self.link.drive(0.0, 0.0), 0)
 
     def _serve(self, decision: Decision) -> None:
-        power, other = (*decision.inputs, *self._gate.beside) if decision.armed else (0.0, 0.0)
-        wanted = power, other
+        power, second_power = (*decision.inputs, *self._gate.beside) if decision.armed else (0.0, 0.0)
+        wanted = (power, second_power)
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
-        if due or wanted != self._sent or time.monotonic() - self._said_at >= MAX_SILENCE:
+        if due or wanted != self._sent or time.monotonic() - self._wall_sent_at >= MAX_SILENCE:
             heats = wanted != (0.0, 0.0)
             self._driving = self._driving or heats  # it may heat though its answer is lost
             reading = self.link.drive(*wanted)
             self._sent = wanted
             self._sent_at = decision.time
-            self._said_at = time.monotonic()
+            self._wall_sent_at = time.monotonic()
             self._driving = heats
             self.connected = True
             self._tell(reading, decision.sample)
@@ -168,22 +168,23 @@ class TCLabBridge(GatedNode):
         kit = cls.PLANT.model(cls.STRUCTURE).typical()
         budget = limits.budget
         weaker = {name: getattr(budget, name) / SECOND for name in ("hold", "least", "each")}
-        power = kit["heating"]
-        second = SECOND * kit["heating"]
-        runaway = replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time)
-        made = []
-        for which, own, other, spent in (
-            ("first", power, second, budget),
-            ("second", second, power, replace(budget, **weaker)),
-        ):
-            named = replace(
-                limits, thing=f"{which} heater", sensor=f"{which} sensor", budget=spent, runaway=runaway
-            )
-            if which == "second":
-                named = replace(named, observer=_seen_from_heater_2(limits.observer))
-            seen = kit.replace(heating=own, second_heating=other)
-            made.append(OutputGuard(named, cls.observer(named, seen)))
-        return made
+        first_power = kit["heating"]
+        second_power = SECOND * kit["heating"]
+        common = replace(limits, runaway=replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time))
+        first_limits = replace(common, thing="first heater", sensor="first sensor")
+        second_limits = replace(
+            common,
+            thing="second heater",
+            sensor="second sensor",
+            budget=replace(budget, **weaker),
+            observer=_seen_from_heater_2(limits.observer),
+        )
+        seen_from_first = kit.replace(heating=first_power, second_heating=second_power)
+        seen_from_second = kit.replace(heating=second_power, second_heating=first_power)
+        return [
+            OutputGuard(first_limits, cls.observer(first_limits, seen_from_first)),
+            OutputGuard(second_limits, cls.observer(second_limits, seen_from_second)),
+        ]
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
@@ -246,7 +247,8 @@ class TCLabBridge(GatedNode):
         stamp = self.get_clock().now()
         drives = len(self._plant.drives)
         applied = PlantApplied(sequence=index, input=[NAN] * drives)
-        applied.header.stamp, applied.header.frame_id = stamp.to_msg(), self.values["frame_id"]
+        applied.header.stamp = stamp.to_msg()
+        applied.header.frame_id = self.values["frame_id"]
         if reading is None:
             self.health.set("applied", "unknown")
         else:

@@ -164,8 +164,8 @@ class Following:
             MessageTypeError: the type is not installed.
         """
         profile = profile_of(offered(publishers))
-        known, reader = self._readers.get(name, (None, None))
-        if known == profile:
+        used_profile, reader = self._readers.get(name, (None, None))
+        if used_profile == profile:
             return reader
         sent = message_class(kind)
         if reader is not None:
@@ -261,13 +261,16 @@ class ForeignTopics:
 
     def _alternatives(self) -> str:
         """The foreign topics that exist, for the error about one that does not."""
-        others = [
+        foreign = [
             f"{name} ({', '.join(kinds)})"
             for name, kinds in sorted(self._node.get_topic_names_and_types())
             if not name.startswith(_OURS) and name not in ELSEWHERE and self._node.count_publishers(name)
         ]
-        more = f" and {len(others) - _MAX_LISTED} more" if len(others) > _MAX_LISTED else ""
-        return ", ".join(others[:_MAX_LISTED]) + more or "none, in this domain and from this machine"
+        count_of_further = f" and {len(foreign) - _MAX_LISTED} more" if len(foreign) > _MAX_LISTED else ""
+        return (
+            ", ".join(foreign[:_MAX_LISTED]) + count_of_further
+            or "none, in this domain and from this machine"
+        )
 
     def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
         kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
@@ -279,9 +282,9 @@ class ForeignTopics:
         self.kinds[topic] = kind
 
     def _kind(self, topic: str, name: str, kinds: set[str]) -> str:
-        given = self._types.get(name)
-        if given is not None:
-            return given
+        given_kind = self._types.get(name)
+        if given_kind is not None:
+            return given_kind
         if len(kinds) > 1:
             raise SamplingError(
                 f"{topic} is published as {' and '.join(sorted(kinds))}; choose one with types:="

@@ -37,7 +37,7 @@ class TwinSimulatorNode(SampleNode):
             health=self.settings.health,
         )
         self._leader = ""
-        self._made = 0  # states
+        self._states_made = 0
         self._published_before = 0  # states published before this node started
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
@@ -47,17 +47,17 @@ class TwinSimulatorNode(SampleNode):
         super().open()
         self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
 
-    def learn(self, said: Past.Response) -> None:
+    def learn(self, answer: Past.Response) -> None:
         """Take the number of states that a simulator before this one published."""
         if not self._stream.begun:
-            self._published_before = said.states_heard
+            self._published_before = answer.states_heard
 
     def work(self, item: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
-            self._made += 1
-            if self._made > self._published_before:
+            self._states_made += 1
+            if self._states_made > self._published_before:
                 message = state_message(state, self._leader, self.settings.plant.states)
                 self.publish(self._publisher, message)
             return

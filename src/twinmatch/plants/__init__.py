@@ -71,15 +71,15 @@ def plant_named(name: str) -> type[Plant]:
     """
     if name in PLANTS:
         return PLANTS[name]
-    found = loaded(name) or installed_plant(name)
-    if found is not None:
-        return found
+    plant = loaded(name) or installed_plant(name)
+    if plant is not None:
+        return plant
     if is_plant_file(name):
         msg = f"the plant is in a file, {name}; files are run only if you name them: add --plant {name}"
         raise UnknownPlantError(msg)
-    known = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
+    names = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
     raise UnknownPlantError(
-        f"plant {name!r}: not known; choose from {known}. One in a file is named by its path: --plant "
+        f"plant {name!r}: not known; choose from {names}. One in a file is named by its path: --plant "
         f"{name}.py, or plant: {name}.py in a configuration"
     )
 

@@ -19,6 +19,8 @@ import traceback
 from functools import lru_cache
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint, entry_points
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Final
@@ -91,10 +93,12 @@ def load_plant(name: str) -> type[Plant]:
     if path.suffix != ".py":
         raise PlantError(f"{name}: is not a Python file; give one that ends in .py")
     plant = _plant_in(_run(path, name), name)
-    other = _WRITTEN.get(plant.name)
-    if other is not None:
-        msg = f"{name}: its plant is called {plant.name}, like that of {other}; give one of them another name"
-        raise PlantError(msg)
+    other_file = _WRITTEN.get(plant.name)
+    if other_file is not None:
+        raise PlantError(
+            f"{name}: its plant is called {plant.name}, like that of {other_file}; give one of them another "
+            "name"
+        )
     _BY_FILE[path] = _BY_NAME[plant.name] = plant
     _WRITTEN[plant.name] = name
     return plant
@@ -163,18 +167,18 @@ def _run(path: Path, name: str) -> ModuleType:
 
 
 def _plant_in(module: ModuleType, name: str) -> type[Plant]:
-    own = {
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Plant) and value.__module__ == module.__name__
-    }
-    last = sorted((c.__name__, c) for c in own if not any(c in o.__mro__[1:] for o in own))
+    plants = set()
+    for value in vars(module).values():
+        if isinstance(value, type) and issubclass(value, Plant) and value.__module__ == module.__name__:
+            plants.add(value)
+    bases = set(chain.from_iterable(plant.__mro__[1:] for plant in plants))
+    last = sorted(plants - bases, key=attrgetter("__name__"))
     if not last:
         raise PlantError(f"{name}: has no plant; write a class such as class Tank(Plant): …")
     if len(last) > 1:
-        msg = f"{name}: has {len(last)} plants, {', '.join(n for n, _ in last)}; give each its own file"
-        raise PlantError(msg)
-    return last[0][1]
+        names = ", ".join(plant.__name__ for plant in last)
+        raise PlantError(f"{name}: has {len(last)} plants, {names}; give each its own file")
+    return last[0]
 
 
 def _place(name: str, path: Path, error: BaseException) -> str:
@@ -203,7 +207,7 @@ def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
     if plant.channel_of is not None:
         return channel, plant.channel_of
     if plant.__module__.startswith(_MODULES):
-        path = next((path for path, known in _BY_FILE.items() if known is plant), None)
+        path = next((path for path, loaded_plant in _BY_FILE.items() if loaded_plant is plant), None)
         if path is not None:
             return load_plant, (str(path),)
     return plant.__qualname__

@@ -142,23 +142,25 @@ class Incubator(Plant, name="incubator"):
         power = self.power * self.heater
         rates = {}
         start = {self.air: self.temperature}
-        given = power
+        to_air = power
         if _BED in parts:
-            given = self.bed_conductance * (self.bed - self.air)
-            rates[self.bed] = (power - given) / self.bed_heat_capacity
+            to_air = self.bed_conductance * (self.bed - self.air)
+            rates[self.bed] = (power - to_air) / self.bed_heat_capacity
             start[self.bed] = self.temperature
 
         outside = self.box if _BOX in parts else self.room
         lost = self.box_conductance * (self.air - outside)
-        rates[self.air] = (given - lost) / self.air_heat_capacity
+        rates[self.air] = (to_air - lost) / self.air_heat_capacity
         if _BOX in parts:
             onwards = self.wall_conductance * (self.box - self.room)
             rates[self.box] = (lost - onwards) / self.box_heat_capacity
             start[self.box] = self.temperature
 
-        seen = self.air
+        measured = self.air
         if _LAG in parts:
-            seen = self.seen
-            rates[seen] = (self.air - seen) / self.sensor_lag
-            start[seen] = self.temperature
-        return Equations(rates=rates, output=seen, start=start, quantities={"given": given, "lost": lost})
+            measured = self.seen
+            rates[measured] = (self.air - measured) / self.sensor_lag
+            start[measured] = self.temperature
+        return Equations(
+            rates=rates, output=measured, start=start, quantities={"given": to_air, "lost": lost}
+        )

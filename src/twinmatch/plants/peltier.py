@@ -218,14 +218,14 @@ class Peltier(Plant, name="peltier"):
             rates[sink] = -(from_sink + lost) / self.sink_heat_capacity
             start[sink] = self.ambient
 
-        seen = plate
+        measured = plate
         if _LAG in parts:
-            seen = self.sensor_state
-            rates[seen] = (plate - seen) / self.sensor_lag
-            start[seen] = self.temperature + KELVIN
+            measured = self.sensor_state
+            rates[measured] = (plate - measured) / self.sensor_lag
+            start[measured] = self.temperature + KELVIN
         return Equations(
             rates=rates,
-            output=seen - KELVIN,
+            output=measured - KELVIN,
             start=start,
             quantities={
                 "current": current,

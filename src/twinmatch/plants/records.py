@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, NoReturn
 
 from twinmatch.description import Description, Quantity
@@ -20,10 +21,19 @@ MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)$")
 _ANYTHING: Final = (-1e300, 1e300)
 _PARTS: Final = {"sink_heat_capacity": "sink with mass", "sensor_lag": "sensor lag", "seebeck_slope": "α(T)"}
 """The part that each of these values implies, in records without a structure."""
-_HELD: Final = 1e12
-"""Heat capacity of a sink at constant temperature, J/K, for parts that occur only with a sink's mass."""
-_IMMEDIATE: Final = 0.05
-"""Lag of a sensor without lag, s, likewise."""
+
+
+@dataclass(frozen=True)
+class WithoutEffect:
+    """Values with which a part has no effect, for records that have other parts only together with it."""
+
+    sink_heat_capacity: float = 1e12
+    """Of a sink at constant temperature, J/K."""
+    sensor_lag: float = 0.05
+    """Of a sensor that follows at once, s."""
+
+
+_WITHOUT_EFFECT: Final = WithoutEffect()
 
 
 def is_marked(structure: str) -> bool:
@@ -90,12 +100,12 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
             stand_in(kind, structure, tuple(values))
         return kind.model(structure).parameters(**values)
     model = kind.model(structure_of(kind, values))
-    kept = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
-    if math.isinf(kept.get("sink_heat_capacity", 0.0)):
-        kept["sink_heat_capacity"] = _HELD
-    if not kept.get("sensor_lag", 1.0):
-        kept["sensor_lag"] = _IMMEDIATE
-    return model.parameters(**kept)
+    known_values = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
+    if math.isinf(known_values.get("sink_heat_capacity", 0.0)):
+        known_values["sink_heat_capacity"] = _WITHOUT_EFFECT.sink_heat_capacity
+    if not known_values.get("sensor_lag", 1.0):
+        known_values["sensor_lag"] = _WITHOUT_EFFECT.sensor_lag
+    return model.parameters(**known_values)
 
 
 def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:

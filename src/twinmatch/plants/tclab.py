@@ -21,7 +21,7 @@ with a dead time of heater 1 are tried where the others leave too much of a wind
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 from twinmatch.dynamics import (
@@ -40,11 +40,19 @@ from twinmatch.dynamics import (
 )
 from twinmatch.signals import KELVIN
 
-_AREA: Final = 10e-4
-"""Surface of a heater towards the room, m²."""
-_BETWEEN: Final = 2e-4
-"""Surface towards the other heater, m²."""
-_EMISSIVITY: Final = 0.9
+
+@dataclass(frozen=True)
+class HeaterSurface:
+    """The surface of a heater."""
+
+    to_room: float = 10e-4
+    """Towards the room, m²."""
+    to_neighbour: float = 2e-4
+    """Towards the other heater, m²."""
+    emissivity: float = 0.9
+
+
+_SURFACE: Final = HeaterSurface()
 _STEFAN_BOLTZMANN: Final = 5.670374e-8
 """W/(m² K⁴)."""
 
@@ -171,14 +179,14 @@ class TCLab(Plant, name="tclab"):
         neighbour = self.neighbour
         reading = self.temperature + KELVIN
 
-        def gained(own: Any, other: Any, area: float, convection: Any) -> Any:
+        def gained(temperature: Any, surroundings: Any, area: float, convection: Any) -> Any:
             """Heat gained from a body at another temperature through a surface."""
-            heat = convection * area * (other - own)
+            heat = convection * area * (surroundings - temperature)
             if _RADIATION in parts:
-                heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (other**4 - own**4)
+                heat += _SURFACE.emissivity * _STEFAN_BOLTZMANN * area * (surroundings**4 - temperature**4)
             return heat
 
-        lost = -gained(heater, self.ambient, _AREA, self.losses)
+        lost = -gained(heater, self.ambient, _SURFACE.to_room, self.losses)
         rates: dict[Any, Any] = {}
         start: dict[Any, Any] = {heater: reading}
         power = self.power
@@ -189,20 +197,20 @@ class TCLab(Plant, name="tclab"):
             start |= arrives.start
         into = self.heating * power - lost
         if _NEIGHBOUR in parts:
-            crossing = gained(heater, neighbour, _BETWEEN, self.exchange)
+            crossing = gained(heater, neighbour, _SURFACE.to_neighbour, self.exchange)
             into += crossing
-            room = gained(neighbour, self.ambient, _AREA, self.losses)
+            room = gained(neighbour, self.ambient, _SURFACE.to_room, self.losses)
             rates[neighbour] = (self.second_heating * self.second + room - crossing) / self.heat_capacity
             start[neighbour] = self.ambient
         rates[heater] = into / self.heat_capacity
-        seen = heater
+        measured = heater
         if _LAG in parts:
-            seen = self.sensor_state
-            rates[seen] = (heater - seen) / self.sensor_lag
-            start[seen] = reading
+            measured = self.sensor_state
+            rates[measured] = (heater - measured) / self.sensor_lag
+            start[measured] = reading
         return Equations(
             rates=rates,
-            output=seen - KELVIN,
+            output=measured - KELVIN,
             start=start,
             quantities={"heat_drawn": self.heating * power, "heat_lost": lost},
         )
@@ -241,20 +249,20 @@ class TCLabBoth(TCLab, name="tclab-both"):
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        """Those of heater 1 with its neighbour, which has a sensor here."""
-        one = super().equations(parts | {_NEIGHBOUR})
+        """The equations of heater 1 with its neighbour, which has a sensor here."""
+        of_first = super().equations(parts | {_NEIGHBOUR})
         reading = self.second_temperature + KELVIN
-        rates = {**one.rates}
-        start = {**one.start, self.neighbour: reading}
-        seen = self.neighbour
+        rates = {**of_first.rates}
+        start = {**of_first.start, self.neighbour: reading}
+        measured = self.neighbour
         if _DEAD in parts:
             arrives = self.second_acting.after(self.second, self.dead_time)
             rates[self.neighbour] = rates[self.neighbour].subs(self.second, arrives.value)
             rates |= arrives.rates
             start |= arrives.start
         if _LAG in parts:
-            seen = self.second_sensor
-            rates[seen] = (self.neighbour - seen) / self.sensor_lag
-            start[seen] = reading
-        output = {self.temperature: one.output, self.second_temperature: seen - KELVIN}
-        return Equations(rates=rates, output=output, start=start, quantities=one.quantities)
+            measured = self.second_sensor
+            rates[measured] = (self.neighbour - measured) / self.sensor_lag
+            start[measured] = reading
+        output = {self.temperature: of_first.output, self.second_temperature: measured - KELVIN}
+        return Equations(rates=rates, output=output, start=start, quantities=of_first.quantities)

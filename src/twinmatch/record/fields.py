@@ -63,7 +63,7 @@ class RecordField:
     """Columns of an array; 0: one dimension, −1: as many as rows."""
     prefix: str = ""
     """Prefix of the names of an inline object's fields."""
-    made: bool = False
+    is_derived: bool = False
     """Whether it is derived from the others, so that it is written but never read."""
 
 
@@ -81,7 +81,7 @@ def _fields_of(owner: Any) -> tuple[RecordField, ...]:
     fields = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
     for name in getattr(owner, "DERIVED", ()):
         returned = get_type_hints(getattr(owner, name).fget)["return"]
-        fields.append(dataclasses.replace(_field(owner, name, returned, 0), made=True))
+        fields.append(dataclasses.replace(_field(owner, name, returned, 0), is_derived=True))
     return tuple(fields)
 
 

@@ -18,14 +18,13 @@ from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
-from twinmatch.signals import point_of, point_values
+from twinmatch.signals import NANOSECONDS, point_of, point_values
 
 Tree = dict[str, Any]
 
 Recorded = TypeVar("Recorded")
 
 _ABSENT: Final[dict[Any, Any]] = {float: math.nan, int: -1, str: "", bool: False}
-_NANOSECONDS: Final = 1_000_000_000
 
 
 def tree_of(record: object) -> Tree:
@@ -44,7 +43,7 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
         TwinmatchError: the parameters cannot be used.
     """
     try:
-        values = {f.name: _READERS[f.form](f, tree) for f in fields_of(kind) if not f.made}
+        values = {f.name: _READERS[f.form](f, tree) for f in fields_of(kind) if not f.is_derived}
     except KeyError as error:
         msg = f"record: a {kind.__name__} lacks {error.args[0]}; it was recorded by another version"
         raise RecordError(msg) from error
@@ -102,7 +101,7 @@ def tree_of_message(message: Any) -> Tree:
     for name in names:
         value = getattr(message, name)
         if name == "header":
-            tree["stamp"] = value.stamp.sec * _NANOSECONDS + value.stamp.nanosec
+            tree["stamp"] = value.stamp.sec * NANOSECONDS + value.stamp.nanosec
         elif f"{name}_name" not in names:
             tree[name] = _plain(value)
     return tree
@@ -153,8 +152,8 @@ def _read_word(field: RecordField, tree: Tree) -> Any:
     try:
         return field.kind(word)
     except ValueError as error:
-        msg = f"record: {word!r} is unknown; expected one of {', '.join(one.value for one in field.kind)}"
-        raise RecordError(msg) from error
+        expected = ", ".join(member.value for member in field.kind)
+        raise RecordError(f"record: {word!r} is unknown; expected one of {expected}") from error
 
 
 def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
@@ -262,21 +261,28 @@ def comparable(tree: Tree) -> Tree:
         tree = {name: value for name, value in tree.items() if name not in BY_RESIDUALS}
     tree = {RENAMED.get(name, name): _inside(value) for name, value in tree.items()}
     if {"plant", "names", "values"} <= tree.keys():
-        values = dict(zip(tree["names"], tree["values"], strict=True))
-        # Before structures had names, the values implied the structure.
-        structure = {"structure": tree["structure"]} if tree["structure"] or not values else {}
-        return {"plant": tree["plant"], **structure, **values}
+        return _parameters_by_name(tree)
     if isinstance(tree.get("operating_point"), float):  # before plants could have several outputs
         tree["operating_point"] = [tree["operating_point"]]
     if "seebeck" in tree:  # the rig-specific message, before other plants were supported
-        absent = math.isnan(tree["seebeck"])
-        return {"plant": "", "structure": ""} if absent else {"plant": "peltier", **tree}
+        if math.isnan(tree["seebeck"]):
+            return {"plant": "", "structure": ""}
+        return {"plant": "peltier", **tree}
     if "start_values" in tree:
         tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
     if "sink_start" in tree:
         sink = tree.pop("sink_start")
         tree["starts"] = {} if math.isnan(sink) else {"sink": sink}
     return tree
+
+
+def _parameters_by_name(tree: Tree) -> Tree:
+    """Parameters whose names and values are lists, as one value under each name."""
+    values = dict(zip(tree["names"], tree["values"], strict=True))
+    parameters = {"plant": tree["plant"]}
+    if tree["structure"] or not values:  # before structures had names, the values implied the structure
+        parameters["structure"] = tree["structure"]
+    return parameters | values
 
 
 def _inside(value: Any) -> Any:
@@ -303,14 +309,14 @@ def differences(
                 continue
             yield from differences(recorded.get(name), computed.get(name), inside, apart)
     elif isinstance(recorded, list) and isinstance(computed, list) and len(recorded) == len(computed):
-        for number, (one, other) in enumerate(zip(recorded, computed, strict=True)):
-            yield from differences(one, other, f"{place}[{number}]", apart)
+        for number, (recorded_item, computed_item) in enumerate(zip(recorded, computed, strict=True)):
+            yield from differences(recorded_item, computed_item, f"{place}[{number}]", apart)
     elif not _same(recorded, computed):
         yield place, recorded, computed
 
 
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, float) and isinstance(other, float | int):
-        both_nan = math.isnan(one) and math.isnan(other)
-        return both_nan or struct.pack("<d", one) == struct.pack("<d", other)
-    return bool(one == other)
+def _same(recorded: Any, computed: Any) -> bool:
+    if isinstance(recorded, float) and isinstance(computed, float | int):
+        both_nan = math.isnan(recorded) and math.isnan(computed)
+        return both_nan or struct.pack("<d", recorded) == struct.pack("<d", computed)
+    return bool(recorded == computed)

@@ -23,7 +23,7 @@ class Accusations:
 
     def __init__(self, act_on: Collection[str] = tuple(ACCUSED)) -> None:
         """Act on accusations of these: keys of `ACCUSED`."""
-        self._names = frozenset[str]().union(*(ACCUSED[who] for who in act_on))
+        self._names = frozenset[str]().union(*(ACCUSED[kind] for kind in act_on))
         self._trusted: int | None = None
         self._unnamed = False
 

@@ -57,8 +57,8 @@ class HeatBudget:
     def take(self, elapsed: float, drive: float, reference: float, reading: float) -> str | None:
         """Take the drive of the last `elapsed` seconds; returns an error message, or None."""
         limits = self.limits
-        held = limits.hold * max(0.0, reading - limits.rest)
-        self.spent = max(0.0, self.spent + (max(0.0, drive) - held) * elapsed)
+        explained = limits.hold * max(0.0, reading - limits.rest)
+        self.spent = max(0.0, self.spent + (max(0.0, drive) - explained) * elapsed)
         if drive <= 0.0 or self.spent <= self.allowed(reference):
             return None
         return (

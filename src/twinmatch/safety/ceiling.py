@@ -33,11 +33,11 @@ class SensorWander:
     """
 
     at_first: float = 0.15
-    """Of its random walk at the start, °C/√s …"""
+    """Of its random walk at the start, °C/√s."""
     later: float = 0.3
-    """… and once the plant has warmed up, °C/√s."""
+    """Of its random walk once the plant has warmed up, °C/√s."""
     warmed_up: float = 300.0
-    """When that is, s: rigs and kits have settled by then."""
+    """Time after which the plant has warmed up, s: rigs and kits have settled by then."""
     off: float = 0.5
     """Standard deviation of what it is off at the start, °C."""
     follows: float = 14_400.0
@@ -45,9 +45,9 @@ class SensorWander:
     doubt: float = 1.0
     """Standard deviation of what the models leave unexplained, °C."""
     alike: float = 8.0
-    """Difference of reading and estimate up to which anything is learned, °C, or …"""
+    """Difference of reading and estimate up to which anything is learned, °C."""
     alike_within: float = 2.0
-    """… so many standard deviations of the estimate, if that is more."""
+    """The same difference in standard deviations of the estimate; the larger one counts."""
 
     def walk(self, age: float) -> float:
         """Of its random walk so long after the start (s), °C/√s."""
@@ -91,9 +91,9 @@ class Caution:
     seen: float = 2.0
     """Change of the reading that shows that the sensor sees the plant, °C."""
     blind: float = 10.0
-    """Margin until then, °C, or …"""
+    """Margin until the reading has changed so far, °C."""
     blind_within: float = 3.0
-    """… so many standard deviations, if that is more."""
+    """The same margin in standard deviations; the larger one counts."""
 
 
 WANDER: Final = SensorWander()
@@ -137,9 +137,15 @@ class Ceiling:
         self._age = 0.0  # s
 
     def take(
-        self, slopes: FloatArray, typical: float, reading: float, reference: float,
-        *, learns: bool = True, at_least: float = -math.inf,
-    ) -> None:  # fmt: skip
+        self,
+        slopes: FloatArray,
+        typical: float,
+        reading: float,
+        reference: float,
+        *,
+        learns: bool = True,
+        at_least: float = -math.inf,
+    ) -> None:
         """Take one comparison.
 
         Nothing is learned unless it `learns`, under a limit, or from a reading that is far from the estimate.
@@ -151,8 +157,8 @@ class Ceiling:
         self._see(reading)
         self.share = 1.0 if self._margin >= CAUTION.no_limit else self._share(reading, reference, doubt)
         self._wander()
-        alike = max(WANDER.alike, WANDER.alike_within * self.deviation)
-        if learns and self.seen and self.share >= 1.0 and abs(reading - self.estimate) <= alike:
+        alike_within = max(WANDER.alike, WANDER.alike_within * self.deviation)
+        if learns and self.seen and self.share >= 1.0 and abs(reading - self.estimate) <= alike_within:
             self._beliefs.learn(np.append(slopes, 1.0), reading - typical, WANDER.doubt)
 
     @property
@@ -203,8 +209,8 @@ class Ceiling:
         """Let a sample's time pass for the sensor."""
         beliefs = self._beliefs
         self._age += PERIOD
-        kept = 1.0 - PERIOD / WANDER.follows
-        beliefs.mean[-1] *= kept
-        beliefs.covariance[-1, :] *= kept
-        beliefs.covariance[:, -1] *= kept
+        share_kept = 1.0 - PERIOD / WANDER.follows
+        beliefs.mean[-1] *= share_kept
+        beliefs.covariance[-1, :] *= share_kept
+        beliefs.covariance[:, -1] *= share_kept
         beliefs.covariance[-1, -1] += WANDER.walk(self._age) ** 2 * PERIOD

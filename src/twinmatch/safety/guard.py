@@ -248,11 +248,11 @@ class OutputGuard:
                 self.trip(FaultKind.BUDGET, spent, now)
             if self._observer is None:
                 continue
-            off = self._observer.take(
+            contradiction = self._observer.take(
                 span, drive, reading, beside, reference=self._reference, believed=self.fault is None
             )
-            if off is not None and self._armed:
-                self.trip(FaultKind.DISAGREES, off, now)
+            if contradiction is not None and self._armed:
+                self.trip(FaultKind.DISAGREES, contradiction, now)
 
     def _decide(self, now: float) -> float:
         if self.fault is not None:
@@ -303,7 +303,8 @@ class _Input:
         return self._since > -math.inf
 
     def take(self, value: float, since: float) -> None:
-        self.value, self._since = value, max(self._since, since)
+        self.value = value
+        self._since = max(self._since, since)
 
     def age(self, now: float) -> float:
         return max(0.0, now - self._since)

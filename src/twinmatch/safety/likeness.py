@@ -26,14 +26,15 @@ class Likeness:
         variance = float(slopes @ self.covariance @ slopes)
         return float(slopes @ self.mean), math.sqrt(max(variance, 0.0))
 
-    def learn(self, slopes: FloatArray, off: float, doubt: float) -> None:
-        """One step of the Kalman filter: a reading was `off` from the typical plant, give or take `doubt`.
+    def learn(self, slopes: FloatArray, deviation: float, doubt: float) -> None:
+        """One step of the Kalman filter: a reading had this `deviation` from the typical plant, give or take
+        `doubt`.
 
         Far from what was expected, a reading counts less.
         """
         covariance = self.covariance
         shown = covariance @ slopes
-        innovation = off - float(slopes @ self.mean)
+        innovation = deviation - float(slopes @ self.mean)
         doubt *= max(1.0, abs(innovation) / doubt)
         gain = shown / (float(slopes @ shown) + doubt**2 / PERIOD)
         self.mean = self.mean + gain * innovation

@@ -7,7 +7,7 @@ side of its typical value run side by side; the readings only decide, late, whic
     y = y₀ + Σ zᵢ·Dᵢ,    Dᵢ = (yᵢ₊ − yᵢ₋)/2,    z ~ N(0, I) before the first reading,
 
 with y₀ of the typical model and yᵢ± of those with parameter i moved. A Kalman filter estimates z, a random
-walk, from readings that are `LEARNED_AFTER` old: what a lie has taught must not explain it. A lie that
+walk, from readings that are `LEARNING.after` old: what a lie has taught must not explain it. A lie that
 is slow enough is learned all the same; the `Ceiling` does not believe its sensor, and limits the drive.
 """
 
@@ -29,28 +29,50 @@ from twinmatch.safety.limits import SafetyError, positive
 from twinmatch.settings import setting
 from twinmatch.signals import FloatArray
 
-LEARNED_AFTER: Final = 240.0
-"""Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then. At the start,
-when little is known, it is half the time that has passed."""
-MEMORY: Final = 3600.0
-"""Time in which z may move by one, s: rooms and fans change from hour to hour."""
-DOUBT: Final = 0.3
-"""Standard deviation of reading minus model, in bands: the errors of consecutive samples are alike, so it is
-far above the sensor's noise."""
+
+@dataclass(frozen=True)
+class Learning:
+    """What readings teach of the plant."""
+
+    after: float = 240.0
+    """Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then. At the
+    start, when little is known, it is half the time that has passed."""
+    memory: float = 3600.0
+    """Time in which z may move by one, s: rooms and fans change from hour to hour."""
+    doubt: float = 0.3
+    """Standard deviation of reading minus model, in bands: the errors of consecutive samples are alike, so it
+    is far above the sensor's noise."""
+
+
+@dataclass(frozen=True)
+class KindSpread:
+    """How much plants of one kind differ: standard deviations of their parameters."""
+
+    relative: float = 0.6
+    """Of a parameter that is equally likely anywhere within the spread, in spreads."""
+    other: float = 2.0
+    """Of a parameter that is not relative, such as the room, in spreads: 15 to 28 °C."""
+    measured: float = 0.1
+    """Of a parameter that was measured, relative or in its scale: of a room a degree."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What may change around a plant; within both the drive is limited, not ended."""
+
+    draught: float = 0.5
+    """Part by which a draught raises the losses."""
+    cooling: float = 12.0
+    """Temperature by which a room cools, K."""
+
+
+LEARNING: Final = Learning()
+SPREAD: Final = KindSpread()
+SURROUNDINGS: Final = Surroundings()
 SIGMAS: Final = 3.0
 """Standard deviations of the estimate that the band has at least."""
 HOTTER: Final = 2.0
 """Bands by which a reading may be above the estimate: what else heats is not the work of the drive."""
-DIFFER: Final = 0.6
-"""Standard deviation of a parameter that is equally likely anywhere within the spread, in spreads …"""
-ROOMS_DIFFER: Final = 2.0
-"""… and of one that is not relative, such as the room: 15 to 28 °C."""
-KNOWN_TO: Final = 0.1
-"""Error of a parameter that was measured, relative or in its scale: of a room a degree."""
-DRAUGHT: Final = 0.5
-"""Part by which a draught raises the losses …"""
-COOLS: Final = 12.0
-"""… and temperature by which a room cools, K: within both the drive is limited, not ended."""
 LOST: Final = 600.0
 """Time without a look after which the observer begins again, s."""
 
@@ -139,9 +161,15 @@ class DriveObserver:
         self.ceiling = Ceiling(self.limits.margin, self._deviations)
 
     def take(
-        self, elapsed: float, drive: float, reading: float, disturbances: FloatArray | None = None,
-        *, reference: float = math.inf, believed: bool = True,
-    ) -> str | None:  # fmt: skip
+        self,
+        elapsed: float,
+        drive: float,
+        reading: float,
+        disturbances: FloatArray | None = None,
+        *,
+        reference: float = math.inf,
+        believed: bool = True,
+    ) -> str | None:
         """Take the drive of the last `elapsed` seconds, the newest reading and the set-point; returns an
         error message, or None. Nothing is compared or learned while the reading is not `believed`."""
         if not self._begun or elapsed > LOST:
@@ -166,12 +194,12 @@ class DriveObserver:
     def hotter(self, reading: float) -> str:
         """Why no more drive passes than the ceiling allows."""
         unit = self._unit
-        thing = self._thing
+        driven_part = self._thing
         sensor = self._sensor
         return (
-            f"by its drive the {thing} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} reads "
-            f"{reading:.1f} {unit}: no more drive passes than holds it there; measure the {thing} with "
-            "something else, and clear this if the reading is right"
+            f"by its drive the {driven_part} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} "
+            f"reads {reading:.1f} {unit}: no more drive passes than holds it there; measure the "
+            f"{driven_part} with something else, and clear this if the reading is right"
         )
 
     def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
@@ -201,12 +229,12 @@ class DriveObserver:
 
     def _how_plants_differ(self, size: int) -> FloatArray:
         """Standard deviations of the weights before the first reading, shape (size,)."""
-        deviations = np.full(size, DIFFER)
+        deviations = np.full(size, SPREAD.relative)
         for place, name in enumerate(self._typical.model.structure.free):
             if name in self._measured:
-                deviations[place] = DIFFER * min(1.0, KNOWN_TO / self.limits.spread)
+                deviations[place] = SPREAD.relative * min(1.0, SPREAD.measured / self.limits.spread)
             elif not self._typical.model.declared[name].relative:
-                deviations[place] = ROOMS_DIFFER
+                deviations[place] = SPREAD.other
         return deviations
 
     def _how_surroundings_change(self, size: int) -> FloatArray:
@@ -215,9 +243,10 @@ class DriveObserver:
         for place, name in enumerate(self._typical.model.structure.free):
             declared = self._typical.model.declared[name]
             if declared.role == "losses":
-                changes[place] = DRAUGHT / (1.0 + DRAUGHT) / self.limits.spread
+                draught = SURROUNDINGS.draught
+                changes[place] = draught / (1.0 + draught) / self.limits.spread
             elif declared.role == "room":
-                changes[place] = COOLS / (self.limits.spread * declared.scale)
+                changes[place] = SURROUNDINGS.cooling / (self.limits.spread * declared.scale)
         return changes
 
     def _step(self, drive: float, disturbances: FloatArray | None) -> None:
@@ -231,37 +260,41 @@ class DriveObserver:
         moved, deviation = self._z.moves(slopes)
         self.estimate = estimate = typical + moved
         band = max(self.limits.band, SIGMAS * deviation)
-        off = reading - estimate
-        hotter = off > HOTTER * band or estimate - band > self._highest
-        beyond = hotter or off < -band
+        error = reading - estimate
+        hotter = error > HOTTER * band or estimate - band > self._highest
+        beyond = hotter or error < -band
         self.ceiling.take(
-            slopes, typical, reading, reference, learns=believed and not beyond,
-            at_least=estimate if off < -band else -math.inf,
-        )  # fmt: skip
+            slopes,
+            typical,
+            reading,
+            reference,
+            learns=believed and not beyond,
+            at_least=estimate if error < -band else -math.inf,
+        )
         if not believed:
             self._waiting.clear()
             self._doubted = 0.0
             return None
         self._waiting.append((slopes, math.nan if beyond else reading - typical))
         self._compared += 1
-        while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
+        while len(self._waiting) > min(LEARNING.after / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
-        colder = self._much_colder(slopes, off, band) or self._limited_in_vain(slopes, reading)
+        colder = self._much_colder(slopes, error, band) or self._limited_in_vain(slopes, reading)
         self._doubted = self._doubted + PERIOD if hotter or colder else 0.0
         if self._doubted < self.limits.patience:
             return None
         return self.contradicts(reading, estimate, band)
 
-    def _much_colder(self, slopes: FloatArray, off: float, band: float) -> bool:
+    def _much_colder(self, slopes: FloatArray, error: float, band: float) -> bool:
         """Whether neither a draught nor a room that cools explains how far a reading is below the estimate:
         both take the plant's time constant, while a sensor may slip at once."""
-        if off > -band / 2:
+        if error > -band / 2:
             self._explained = 0.0
             return False
         at_last = self._surroundings_explain(slopes)
-        more = at_last * PERIOD / time_constant(self._typical.model.plant)
-        self._explained = min(at_last, self._explained + more)
-        return off < -(band + self._explained)
+        increase = at_last * PERIOD / time_constant(self._typical.model.plant)
+        self._explained = min(at_last, self._explained + increase)
+        return error < -(band + self._explained)
 
     def _limited_in_vain(self, slopes: FloatArray, reading: float) -> bool:
         """Whether they do not explain either how cold a limited drive leaves the reading."""
@@ -274,22 +307,22 @@ class DriveObserver:
         """By how much a draught or a room that cools lowers the output at last, in its unit."""
         return float(np.max(np.abs(slopes) * self._surroundings))
 
-    def _learn(self, slopes: FloatArray, off: float) -> None:
+    def _learn(self, slopes: FloatArray, deviation: float) -> None:
         """Learn from a reading; one that contradicted the drive teaches nothing."""
-        self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / MEMORY
-        if not math.isnan(off):
-            self._z.learn(slopes, off, DOUBT * self.limits.band)
+        self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / LEARNING.memory
+        if not math.isnan(deviation):
+            self._z.learn(slopes, deviation, LEARNING.doubt * self.limits.band)
 
     def contradicts(self, reading: float, estimate: float, band: float) -> str:
         """What a reading outside the band about an estimate says."""
         unit = self._unit
-        thing = self._thing
+        driven_part = self._thing
         sensor = self._sensor
-        other = ", something else heats it" if reading > estimate else ""
+        another_heater = ", something else heats it" if reading > estimate else ""
         return (
-            f"by its drive the {thing} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} reads "
-            f"{reading:.1f} {unit}: the drive is lost{other}, or the {sensor} does not see the {thing}; "
-            "check both"
+            f"by its drive the {driven_part} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} "
+            f"reads {reading:.1f} {unit}: the drive is lost{another_heater}, or the {sensor} does not see "
+            f"the {driven_part}; check both"
         )
 
 

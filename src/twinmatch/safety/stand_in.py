@@ -60,8 +60,8 @@ class StandIn:
         """What the law takes now. Until the first estimate after an accusation that is the reading."""
         if not self.accused:
             return StandInState(math.nan)
-        at, value = self._newest
-        if now - at <= PATIENCE and not self._poor:
+        estimated_at, value = self._newest
+        if now - estimated_at <= PATIENCE and not self._poor:
             hot = f"{self._name} is estimated at {value:.1f} {self._unit}" if value > self._highest else ""
             return StandInState(math.nan if hot else value, hot)
         if now - self._since <= PATIENCE:

@@ -60,9 +60,13 @@ class LawReport:
     """The word of the request that it belongs to."""
 
     def of(self, gains: Sequence[PidGains]) -> LawReport:
-        """The same about the law of these PIDs."""
-        each = [tuple(getattr(one, name) for one in gains) for name in GAINS[:3]]
-        return replace(self, proportional=each[0], integral=each[1], derivative=each[2])
+        """This report, about the law of these PIDs."""
+        return replace(
+            self,
+            proportional=tuple(pid.proportional for pid in gains),
+            integral=tuple(pid.integral for pid in gains),
+            derivative=tuple(pid.derivative for pid in gains),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, reduce
 from typing import Any, Final, NamedTuple, cast
 
@@ -27,10 +28,19 @@ _LABEL: Final = r"[A-Za-z_/][^\[\]]*"
 _STEP: Final = re.compile(rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]")
 _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
-_DEEP: Final = 4
-"""Depth of nested messages to which fields are listed."""
-_MAX_LISTED: Final = 30
-"""Most fields that an error lists."""
+
+
+@dataclass(frozen=True)
+class FieldListing:
+    """Which fields of a message a list shows; errors and `--list` show one."""
+
+    depth: int = 4
+    """Of nested messages."""
+    in_errors: int = 30
+    """Most fields in an error."""
+
+
+_LISTING: Final = FieldListing()
 
 
 class SamplingError(TwinmatchError):
@@ -94,17 +104,17 @@ def steps(path: str) -> tuple[str | int, ...]:
     Raises:
         SamplingError: it is not a field path.
     """
-    taken: list[str | int] = []
-    at = 0
-    while at < len(path):
-        match = _STEP.match(path, at)
-        if match is None or (not taken and path[0] in ".["):
+    path_steps: list[str | int] = []
+    position = 0
+    while position < len(path):
+        match = _STEP.match(path, position)
+        if match is None or (not path_steps and path[0] in ".["):
             form = "write names and indices, such as readings[2].value or position[elbow]"
             raise SamplingError(f"{path!r} is not a field path; {form}")
         name, index, label = match.groups()
-        taken.append(name or (Label(label.strip()) if label else int(index)))
-        at = match.end()
-    return tuple(taken)
+        path_steps.append(name or (Label(label.strip()) if label else int(index)))
+        position = match.end()
+    return tuple(path_steps)
 
 
 def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
@@ -117,41 +127,43 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     if not path:
         return _only(kind, fields_of)
     field = Field(kind)
-    done = ""
+    walked = ""
     named = False
     for step in steps(path):
         if isinstance(step, int | Label):
             if not field.array:
-                raise SamplingError(f"{kind}: {done} is not a list; leave out [{step}]")
+                raise SamplingError(f"{kind}: {walked} is not a list; leave out [{step}]")
             if isinstance(step, Label) and not named:
-                msg = f"{kind}: the elements of {done} have no names; choose one by number, such as {done}[0]"
-                raise SamplingError(msg)
+                example = f"{walked}[0]"
+                raise SamplingError(
+                    f"{kind}: the elements of {walked} have no names; choose one by number, such as {example}"
+                )
             if isinstance(step, int) and field.length is not None and step >= field.length:
-                raise SamplingError(f"{kind}: {done} has {field.length} values, counted from 0")
+                raise SamplingError(f"{kind}: {walked} has {field.length} values, counted from 0")
             field = Field(field.kind)
-            done = f"{done}[{step}]"
+            walked = f"{walked}[{step}]"
             continue
         if field.array:
-            raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0].{step}")
-        known = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
-        if step not in known:
-            where = f"{kind}: {done} has" if done else f"{kind} has"
+            raise SamplingError(f"{kind}: {walked} is a list; choose an element, such as {walked}[0].{step}")
+        fields = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
+        if step not in fields:
+            where = f"{kind}: {walked} has" if walked else f"{kind} has"
             raise SamplingError(f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}")
-        named = named or any(known[n].array and known[n].kind in TEXTS for n in _NAMES if n in known)
-        field = known[step]
-        done = f"{done}.{step}" if done else step
+        named = named or any(fields[n].array and fields[n].kind in TEXTS for n in _NAMES if n in fields)
+        field = fields[step]
+        walked = f"{walked}.{step}" if walked else step
     if field.array:
-        raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
+        raise SamplingError(f"{kind}: {walked} is a list; choose an element, such as {walked}[0]")
     if field.kind in TEXTS:
-        raise SamplingError(f"{kind}: {done} is text; choose a number: {_field_list(kind, fields_of)}")
+        raise SamplingError(f"{kind}: {walked} is text; choose a number: {_field_list(kind, fields_of)}")
     if field.kind not in NUMBERS:
-        whole = [f"{done}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(whole[:_MAX_LISTED]) if whole else _field_list(kind, fields_of)
-        raise SamplingError(f"{kind}: {done} is a message; choose a number in it: {instead}")
+        paths = [f"{walked}.{below}" for below in fields_below(field.kind, fields_of)]
+        instead = ", ".join(paths[: _LISTING.in_errors]) if paths else _field_list(kind, fields_of)
+        raise SamplingError(f"{kind}: {walked} is a message; choose a number in it: {instead}")
     return path
 
 
-def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[str]:
+def fields_below(kind: str, fields_of: FieldsOf, deep: int = _LISTING.depth) -> Iterator[str]:
     """Paths of the numbers in messages of a type, without those of headers and times."""
     for name, field in fields_of(kind).items():
         mark = "[0]" if field.array else ""
@@ -166,12 +178,19 @@ def by_name(message: Any, path: str) -> list[str]:
     """A path of `fields_below` as often as a message names elements of its lists; as it is without names."""
     head, mark, tail = path.partition("[0]")
     *above, last = head.split(".")
-    holder = reduce(getattr, above, message)
-    names, elements = (_names_in(holder), getattr(holder, last)) if mark else ((), ())
-    if len(elements) not in (0, len(names)) or not names or not all(re.fullmatch(_LABEL, n) for n in names):
+    if not mark:
         return [path]
-    below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
-    return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
+    holder = reduce(getattr, above, message)
+    names = _names_in(holder)
+    elements = getattr(holder, last)
+    has_labels = bool(names) and all(re.fullmatch(_LABEL, name) for name in names)
+    if not has_labels or len(elements) not in (0, len(names)):
+        return [path]
+    paths = []
+    for name, element in zip(names, elements, strict=False):
+        for below in by_name(element, tail[1:]) if tail else [""]:
+            paths.append(f"{head}[{name}]{tail[:1]}{below}")
+    return paths
 
 
 class Followed:
@@ -196,18 +215,9 @@ class Followed:
         before = self._names
         self._names = self._names or names
         if before and names and names != before:
-            topic, path = self._channel
-            called = iter(before)
-            by_name = "".join(
-                f"[{next(called, step) if isinstance(step, int) else step}]"
-                if isinstance(step, int | Label)
-                else f".{step}"
-                for step in steps(path)
-            )
             both = f"{'/'.join(before)} in one message and {'/'.join(names)} in another"
-            raise SamplingError(
-                f"{self._channel.text} is {both}; choose it by name: {topic}:{by_name.lstrip('.')}"
-            )
+            suggested = f"{self._channel.topic}:{_with_names(self._channel.path, before)}"
+            raise SamplingError(f"{self._channel.text} is {both}; choose it by name: {suggested}")
         if value is None:
             return None if any(isinstance(step, Label) for step in steps(self._channel.path)) else math.nan
         if isinstance(value, bytes):  # how ROS gives the type `byte`
@@ -229,7 +239,12 @@ def _walk(message: Any, path: str) -> tuple[Any, tuple[str, ...]]:
             names = _names_in(value) or names
             value = getattr(value, step)
             continue
-        chosen = step if isinstance(step, int) else (names.index(step) if step in names else len(value))
+        if isinstance(step, int):
+            chosen = step
+        elif step in names:
+            chosen = names.index(step)
+        else:
+            return None, tuple(met)
         if chosen >= len(value):
             return None, tuple(met)
         if isinstance(step, int) and chosen < len(names):
@@ -238,9 +253,26 @@ def _walk(message: Any, path: str) -> tuple[Any, tuple[str, ...]]:
     return value, tuple(met)
 
 
+def _with_names(path: str, names: Sequence[str]) -> str:
+    """A path with its numbers replaced by these names of elements, as far as there are some."""
+    names_left = iter(names)
+    text = ""
+    for step in steps(path):
+        if isinstance(step, int):
+            text += f"[{next(names_left, step)}]"
+        elif isinstance(step, Label):
+            text += f"[{step}]"
+        else:
+            text += f".{step}"
+    return text.lstrip(".")
+
+
 def _names_in(message: Any) -> Sequence[str]:
-    lists = (getattr(message, name, None) for name in _NAMES)
-    return next((held for held in lists if isinstance(held, list) and held), ())
+    for name in _NAMES:
+        names = getattr(message, name, None)
+        if isinstance(names, list) and names:
+            return names
+    return ()
 
 
 def _only(kind: str, fields_of: FieldsOf) -> str:
@@ -255,8 +287,9 @@ def _only(kind: str, fields_of: FieldsOf) -> str:
 
 def _field_list(kind: str, fields_of: FieldsOf) -> str:
     paths = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
-    more = f" and {len(paths) - _MAX_LISTED} more" if len(paths) > _MAX_LISTED else ""
-    return ", ".join(paths[:_MAX_LISTED]) + more if paths else "none"
+    most = _LISTING.in_errors
+    count_of_further = f" and {len(paths) - most} more" if len(paths) > most else ""
+    return ", ".join(paths[:most]) + count_of_further if paths else "none"
 
 
 _UNITS: Final = {
@@ -286,9 +319,9 @@ def usual_unit(kind: str, path: str, wanted: str | None = None) -> str:
     Of several units, as those of revolving and sliding joints, it is the one that measures the same as the
     unit `wanted`; empty if none does. Without one it is the first.
     """
-    known = _UNITS.get(kind, {})
+    units_by_path = _UNITS.get(kind, {})
     stated = next(
-        (unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
+        (unit for begin, unit in units_by_path.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
     )
     units = stated.split(" or ")
     if wanted is None or len(units) == 1:

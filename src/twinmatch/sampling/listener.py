@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from itertools import chain
 from typing import Final, Protocol
 
 from twinmatch.dynamics import Plant
@@ -31,9 +32,9 @@ Raises a SamplingError if what is there cannot be meant.
 class Receive(Protocol):
     """Takes each message of a topic."""
 
-    def __call__(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+    def __call__(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
         """Take a message that can be `read`. `stamp`: when its values were measured, ns; 0: not known.
-        `held`: it was sent at some time before, and kept by a broker for late subscribers."""
+        `retained`: it was sent at some time before, and kept by a broker for late subscribers."""
 
 
 class Source(Protocol):
@@ -124,7 +125,7 @@ class SignalListener:
 
     def open(self, opened: Open) -> None:
         """Begin to listen to a source, which may have messages at once."""
-        self._source = opened([channel for each in self.channels.values() for channel in each], self.receive)
+        self._source = opened(list(chain.from_iterable(self.channels.values())), self.receive)
         self._close = self._source.close
         self.search()
 
@@ -146,34 +147,35 @@ class SignalListener:
             for name, source in self._sources.items():
                 channels = self.channels[name]
                 if name not in self._ready and all(c.topic in kinds for c in channels):
-                    found = [c._replace(path=self._source.path(c)) for c in channels]
-                    follow = source.follow(name, self._units[name], found, [kinds[c.topic] for c in found])
-                    self._ready[name] = follow
+                    checked = [c._replace(path=self._source.path(c)) for c in channels]
+                    channel_kinds = [kinds[c.topic] for c in checked]
+                    self._ready[name] = source.follow(name, self._units[name], checked, channel_kinds)
         except TwinmatchError as error:
             self.failed = SamplingError(str(error))
 
-    def receive(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+    def receive(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
         """Take a message.
 
         A reading stamped in the future would never become stale, so it counts as of now; one without a stamp
-        is new, unless it is one that was `held`: then it says nothing, except where values hold at any age.
+        is new, unless it was `retained`: then it says nothing, except where values hold at any age.
         """
-        now = self._now()
-        is_ahead = stamp > now + round(self.sampler.period * NANOSECONDS)
-        ahead = f"{(stamp - now) / 1e9:.1f} s ahead of this machine's clock; the time of arrival is used"
+        arrived = self._now()
+        is_ahead = stamp > arrived + round(self.sampler.period * NANOSECONDS)
+        ahead = f"{(stamp - arrived) / 1e9:.1f} s ahead of this machine's clock; the time of arrival is used"
         self.ahead = f"the stamps of {topic} are {ahead}" if is_ahead else ""
-        at = min(stamp, now) if stamp else now
+        measured = min(stamp, arrived) if stamp else arrived
         for name, source in self._ready.items():
-            if held and not stamp and self.sampler.limits[name].max_age:
+            if retained and not stamp and self.sampler.limits[name].max_age:
                 continue
             fresh = self._fresh[name]
             numbers = self._numbers(name, source, topic, read)
-            fresh |= {place: (number, at) for place, number in numbers.items()}
+            fresh |= {place: (number, measured) for place, number in numbers.items()}
             if numbers:
                 self._heard[name] = time.monotonic()
                 if len(fresh) == len(source.channels):
                     value = source.value([number for number, _ in fresh.values()])
-                    self.sampler.take(name, value, min(when for _, when in fresh.values()), now, held=held)
+                    oldest = min(number_stamp for _, number_stamp in fresh.values())
+                    self.sampler.take(name, value, oldest, arrived, retained=retained)
                     fresh.clear()
 
     def samples(self) -> list[Sample]:
@@ -181,13 +183,13 @@ class SignalListener:
 
         Ticks that are due are read before newer values come: those belong to later ticks.
         """
-        taken = self.sampler.collect(self._now())
+        complete = self.sampler.collect(self._now())
         self._source.poll()
         if self._source.lost:  # a value that is sent when it changes no longer holds until the next one
             self.sampler.forget()
-        taken += self.sampler.collect(self._now())
-        self._has_samples = self._has_samples or bool(taken)
-        return taken
+        complete += self.sampler.collect(self._now())
+        self._has_samples = self._has_samples or bool(complete)
+        return complete
 
     def tick(self) -> None:
         """A tick of the timer, where that paces the samples."""
@@ -208,27 +210,30 @@ class SignalListener:
         that was sampled until then may still run.
         """
         try:
-            found = {k: read(channel) for k, channel in enumerate(source.channels) if channel.topic == topic}
+            numbers = {}
+            for place, channel in enumerate(source.channels):
+                if channel.topic == topic:
+                    numbers[place] = read(channel)
         except SamplingError as error:
             if not self._has_samples:
                 self.failed = SamplingError(f"{name}: {error}")
             self.misnamed[name] = f"{error}; other messages are left out"
             return {}
-        return {place: number for place, number in found.items() if number is not None}
+        return {place: number for place, number in numbers.items() if number is not None}
 
     def _silence(self, name: str) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
-        each = dict.fromkeys(channel.topic for channel in self.channels[name])
-        topics = " and ".join(each)
-        why = self._source.lost or next(filter(None, map(self._source.trouble, each)), "")
+        distinct_topics = dict.fromkeys(channel.topic for channel in self.channels[name])
+        topics = " and ".join(distinct_topics)
+        why = self._source.lost or next(filter(None, map(self._source.trouble, distinct_topics)), "")
         limit = self.sampler.limits[name].max_age
         heard = self._heard.get(name)
-        now = time.monotonic()
+        wall_now = time.monotonic()
         if heard is None or self._source.lost:
             return f"{name}: {why or f'no message on {topics} yet'}; no samples"
-        if limit and now - heard > limit:
-            more = f"; {why}" if why else ""
-            return f"{name}: no message on {topics} for {now - heard:.1f} s{more}; no samples"
+        if limit and wall_now - heard > limit:
+            reason = f"; {why}" if why else ""
+            return f"{name}: no message on {topics} for {wall_now - heard:.1f} s{reason}; no samples"
         return ""
 
     def _explained(self, name: str, trouble: str) -> str:

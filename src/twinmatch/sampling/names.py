@@ -45,50 +45,59 @@ def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
 def accepted_names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     """By signal, and for the time, the names by which a map may call it; its own first."""
     loop = LoopNames.of(plant)
-    more = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
+    spellings = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
+    references = _numbered(REFERENCE, loop.references)
     return {
         TIME: (TIME,),
         **_numbered(OUTPUT, loop.outputs, tuple(plant.outputs)),
         **_numbered(INPUT, loop.inputs, tuple(plant.drives)),
-        **{signal: (*names, *more) for signal, names in _numbered(REFERENCE, loop.references).items()},
+        **{signal: (*names, *spellings) for signal, names in references.items()},
         **{name: (name,) for name in plant.disturbances},
     }
 
 
 def _numbered(kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()) -> dict[str, tuple[str, ...]]:
     """Accepted names of each signal; where there are several, one is its number, such as output.2."""
-    own = names or signals
-    number = (lambda k: (f"{kind}.{k}",)) if len(signals) > 1 else (lambda _: ())
-    return {
-        signal: tuple(dict.fromkeys((signal, name, *number(k))))
-        for k, (signal, name) in enumerate(zip(signals, own, strict=True), 1)
-    }
+    accepted = {}
+    for k, (signal, name) in enumerate(zip(signals, names or signals, strict=True), 1):
+        number = (f"{kind}.{k}",) if len(signals) > 1 else ()
+        accepted[signal] = tuple(dict.fromkeys((signal, name, *number)))
+    return accepted
 
 
 def signal_called(plant: type[Plant]) -> dict[str, str]:
     """The signal that each accepted name means."""
     names = accepted_names(plant)
-    known = {name: signal for signal, accepted in names.items() for name in accepted}
-    return known | {signal: signal for signal in names}  # also where a drive is called output
+    meant = {name: signal for signal, accepted in names.items() for name in accepted}
+    return meant | {signal: signal for signal in names}  # also where a drive is called output
 
 
-def by_signal(plant: type[Plant], given: Mapping[str, _Value]) -> dict[str, _Value]:
+def by_signal(plant: type[Plant], named_entries: Mapping[str, _Value]) -> dict[str, _Value]:
     """The entries of a map by signal, from entries by any accepted name.
 
     Raises:
         RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
-    known = signal_called(plant)
-    named = dict[str, _Value]()
-    used = dict[str, str]()
-    for name, entry in given.items():
-        if name not in known:
-            signals = ", ".join(
-                f"{s} ({n[1]})" if len(n) > 1 and s not in (TIME, REFERENCE) else s
-                for s, n in accepted_names(plant).items()
+    meant = signal_called(plant)
+    entries = dict[str, _Value]()
+    names_used = dict[str, str]()
+    for name, entry in named_entries.items():
+        if name not in meant:
+            raise RecordingError(
+                f"--map: plant {plant.name} has no signal {name!r}; it has {_listed_signals(plant)}"
             )
-            raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
-        if known[name] in named:
-            raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
-        named[known[name]], used[known[name]] = entry, name
-    return named
+        signal = meant[name]
+        if signal in entries:
+            raise RecordingError(f"--map: {names_used[signal]} and {name} are the same signal; give it once")
+        entries[signal] = entry
+        names_used[signal] = name
+    return entries
+
+
+def _listed_signals(plant: type[Plant]) -> str:
+    """The plant's signals, each with another name if it has one."""
+    listed = []
+    for signal, names in accepted_names(plant).items():
+        has_another = len(names) > 1 and signal not in (TIME, REFERENCE)
+        listed.append(f"{signal} ({names[1]})" if has_another else signal)
+    return ", ".join(listed)

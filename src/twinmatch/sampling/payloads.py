@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
@@ -15,14 +16,23 @@ _WORDS: Final = {"on": 1.0, "true": 1.0, "open": 1.0, "heating": 1.0} | dict.fro
 )
 _WILDCARDS: Final = ("#", "+")
 _LONGEST_TOPIC: Final = 65535
-_LARGEST: Final = 1_000_000
-"""Longest payload that is read, bytes."""
-_MAX_LISTED: Final = 30
-"""Most numbers that an error lists."""
-_DEEP: Final = 8
-"""Depth to which they are looked for."""
 _MILLISECONDS: Final = 1e11
 """Epochs above are milliseconds: as seconds they would be in the year 5138."""
+
+
+@dataclass(frozen=True)
+class PayloadLimits:
+    """How much of a payload is looked at: it may come from anybody who reaches the broker."""
+
+    size: int = 1_000_000
+    """Longest payload that is read, bytes."""
+    depth: int = 8
+    """To which numbers are looked for."""
+    listed: int = 30
+    """Most numbers that an error lists."""
+
+
+_LIMITS: Final = PayloadLimits()
 
 
 def parse_place(text: str) -> Channel:
@@ -84,7 +94,7 @@ def document_of(payload: bytes) -> Any:
     Raises:
         SamplingError: it is too long or too deep to be a reading.
     """
-    if len(payload) > _LARGEST:
+    if len(payload) > _LIMITS.size:
         raise SamplingError(f"a payload of {len(payload)} bytes is not a reading")
     try:
         return json.loads(payload)
@@ -100,21 +110,21 @@ def number_at(document: Any, path: str) -> float:
     Raises:
         SamplingError: there is none; the error lists those there are.
     """
-    found = document
+    value = document
     for step in _steps(path):
         try:
-            found = found[step if isinstance(found, list) else str(step)]
+            value = value[step if isinstance(value, list) else str(step)]
         except (LookupError, TypeError):
             raise SamplingError(f"no {path!r}; its numbers: {_listed(document)}") from None
-    if isinstance(found, dict | list):
-        paths = [below for below, _ in numbers_in(found)]
+    if isinstance(value, dict | list):
+        paths = [below for below, _ in numbers_in(value)]
         if path or len(paths) != 1:
             raise SamplingError(f"several numbers or none; choose one: {_listed(document)}")
         return number_at(document, paths[0])
     try:
-        return _WORDS[found.lower()] if isinstance(found, str) and found.lower() in _WORDS else float(found)
+        return _WORDS[value.lower()] if isinstance(value, str) and value.lower() in _WORDS else float(value)
     except (TypeError, ValueError, OverflowError):
-        raise SamplingError(f"{str(found)[:40]!r} is not a number") from None
+        raise SamplingError(f"{str(value)[:40]!r} is not a number") from None
 
 
 def stamp_at(document: Any, path: str) -> int:
@@ -123,19 +133,19 @@ def stamp_at(document: Any, path: str) -> int:
     Raises:
         SamplingError: there is none.
     """
-    found = document
+    value = document
     for step in _steps(path):
-        found = found.get(step) if isinstance(found, dict) else None
+        value = value.get(step) if isinstance(value, dict) else None
     try:
-        if isinstance(found, str):
-            return round(datetime.fromisoformat(found.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
-        seconds = float(found)
+        if isinstance(value, str):
+            return round(datetime.fromisoformat(value.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
+        seconds = float(value)
         return round((seconds / 1e3 if seconds > _MILLISECONDS else seconds) * NANOSECONDS)
     except (TypeError, ValueError, OverflowError):
-        raise SamplingError(f"no time at {path!r}, but {str(found)[:40]!r}") from None
+        raise SamplingError(f"no time at {path!r}, but {str(value)[:40]!r}") from None
 
 
-def numbers_in(document: Any, path: str = "", deep: int = _DEEP) -> Iterator[tuple[str, float]]:
+def numbers_in(document: Any, path: str = "", deep: int = _LIMITS.depth) -> Iterator[tuple[str, float]]:
     """Paths and values of the numbers in a document; words are none."""
     if isinstance(document, dict) and deep:
         for key, below in document.items():
@@ -159,4 +169,4 @@ def _listed(document: Any) -> str:
     if not isinstance(document, dict | list):
         return f"none, it is {str(document)[:40]!r}"
     paths = [path for path, _ in numbers_in(document)]
-    return ", ".join(paths[:_MAX_LISTED]) or "none"
+    return ", ".join(paths[: _LIMITS.listed]) or "none"

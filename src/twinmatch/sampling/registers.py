@@ -31,8 +31,8 @@ def parse_place(text: str) -> Channel:
     Raises:
         SamplingError: it is not such a place.
     """
-    found = _PLACE.fullmatch(text.strip().lower())
-    table, address, kind, order = found.groups("") if found else ("", "0", "", "")
+    match = _PLACE.fullmatch(text.strip().lower())
+    table, address, kind, order = match.groups("") if match else ("", "0", "", "")
     path = "" if table in BITS else f"{kind or 'int16'} {order}".strip()
     channel = Channel(f"{table}/{int(address)}", path)
     if table not in LONGEST or (kind and not path) or span_of(channel)[2] > _END:
@@ -92,13 +92,13 @@ def values_in(answer: bytes, span: Span) -> Values:
 
 def joined(spans: Iterable[Span]) -> list[Span]:
     """The fewest spans with these and nothing else, none longer than a request; each is whole in one."""
-    made: list[Span] = []
+    longer: list[Span] = []
     for span in sorted(spans):
-        table, first, end = made[-1] if made else ("", 0, 0)
+        table, first, end = longer[-1] if longer else ("", 0, 0)
         last = max(end, span[2])
         joins = span[0] == table and span[1] <= end and last - first <= LONGEST[table]
-        made[-1:] = [(table, first, last)] if joins else [*made[-1:], span]
-    return made
+        longer[-1:] = [(table, first, last)] if joins else [*longer[-1:], span]
+    return longer
 
 
 def span_text(span: Span) -> str:

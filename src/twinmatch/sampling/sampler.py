@@ -32,10 +32,6 @@ LATEST_SETTLE: Final = 0.45
 """Largest settling time, in periods; later values would rather belong to the next tick."""
 
 
-_LEAK: Final = 0.1
-"""Fraction of a tick's lateness by which the grid is moved after it."""
-
-
 class Grid:
     """A grid of ticks one period apart, whose origin follows the ticks.
 
@@ -45,6 +41,9 @@ class Grid:
     late tick moves the grid a little too: a loop that is 1 % slower than stated stays late by a tenth of a
     period, and no tick is counted as missed.
     """
+
+    _LEAK: Final = 0.1
+    """Fraction of a tick's lateness by which the grid is moved after it."""
 
     def __init__(self, period: int) -> None:
         """Start without a tick; the period is in ns."""
@@ -81,24 +80,23 @@ class Grid:
         self._number += 1 + skipped
         self._newest = now
         # During a gap the loop may have been restarted, at any time.
-        self._due = now if late < 0 or skipped else now - late + round(_LEAK * late)
+        self._due = now if late < 0 or skipped else now - late + round(self._LEAK * late)
         return self._number
-
-
-_FEWEST: Final = 5
-"""Fewest intervals for an estimate."""
-_INTERVALS: Final = 100
-_REGULAR: Final = 0.5
-"""Relative deviation from the median up to which an interval is regular: neither gap nor burst."""
-_TOLERATED: Final = 0.01
-"""Tolerated relative error of the period: a twin's time constants are off by as much."""
 
 
 class Rate:
     """The newest intervals between ticks."""
 
+    _FEWEST: Final = 5
+    """Fewest intervals for an estimate."""
+    _INTERVALS: Final = 100
+    _REGULAR: Final = 0.5
+    """Relative deviation from the median up to which an interval is regular: neither gap nor burst."""
+    _TOLERATED: Final = 0.01
+    """Tolerated relative error of the period: a twin's time constants are off by as much."""
+
     def __init__(self) -> None:
-        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self._intervals: deque[float] = deque(maxlen=self._INTERVALS)
         self._last: int | None = None
 
     def push(self, now: int) -> None:
@@ -111,23 +109,23 @@ class Rate:
     def period(self) -> float | None:
         """Mean of the intervals without gaps and bursts, s; None while there are too few."""
         regular = self._regular()
-        return float(regular.mean()) if regular.size >= _FEWEST else None
+        return float(regular.mean()) if regular.size >= self._FEWEST else None
 
     def differs_from(self, period: float) -> bool:
         """Whether the intervals significantly differ from a period (s)."""
         regular = self._regular()
-        if regular.size < _FEWEST:
+        if regular.size < self._FEWEST:
             return False
         # The lateness of single ticks cancels in the mean, except for the first and the last.
         unsure = 2.0 * float(regular.std()) / regular.size
-        return bool(abs(regular.mean() - period) > _TOLERATED * period + unsure)
+        return bool(abs(regular.mean() - period) > self._TOLERATED * period + unsure)
 
     def _regular(self) -> np.ndarray:
         if not self._intervals:
             return np.empty(0)
         usual = median(self._intervals)
         intervals = np.array(self._intervals)
-        return intervals[np.abs(intervals - usual) <= _REGULAR * usual]
+        return intervals[np.abs(intervals - usual) <= self._REGULAR * usual]
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ class Sampler:
     """Ticks and values in, samples out.
 
     A tick without all of its values makes no sample; the index of the next sample shows how many are missing.
-    All times are ns of one clock: `at` is when a value was measured or commanded, `now` when it arrived.
+    All times are ns of one clock: `stamp` is when a value was measured or commanded, `now` when it arrived.
     """
 
     def __init__(
@@ -232,11 +230,11 @@ class Sampler:
         """A signal's newest value; None before there is one."""
         return self._buffers[name].newest
 
-    def take(self, name: str, value: float, at: int, now: int, *, held: bool = False) -> None:
-        """Take a value; one of the pacing signal triggers a tick, unless it was `held` since earlier."""
-        self._buffers[name].push(value, at)
-        if name == self._pacer and math.isfinite(value) and not held:
-            self._push(_Tick(0, at, now + self._settle, value))
+    def take(self, name: str, value: float, stamp: int, now: int, *, retained: bool = False) -> None:
+        """Take a value; one of the pacing signal triggers a tick, unless it was `retained` since earlier."""
+        self._buffers[name].push(value, stamp)
+        if name == self._pacer and math.isfinite(value) and not retained:
+            self._push(_Tick(0, stamp, now + self._settle, value))
 
     def forget(self) -> None:
         """Forget values that become stale: what has come in the meantime is not known."""
@@ -305,16 +303,16 @@ class Sampler:
             tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
         )
 
-    def _check_value(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
+    def _check_value(self, name: str, value: float | None, tick_time: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
         limits = self.limits[name]
         counts = self.counts[name]
-        at = self._buffers[name].time
-        if value is None or at is None:
+        measured = self._buffers[name].time
+        if value is None or measured is None:
             counts.missing += 1
             troubles[name] = f"no {name} yet"
             return math.nan
-        age = (now - at) / NANOSECONDS
+        age = (tick_time - measured) / NANOSECONDS
         if limits.max_age and age > limits.max_age:
             counts.late += 1
             troubles[name] = f"the newest {name} is {age:.1f} s old"
@@ -345,29 +343,28 @@ def _check(
         raise SamplingError(f"period is {period:g} s; it must be positive")
 
 
-_MAX_KEPT: Final = 100_000
-"""Most values kept for a mean; of more values in a period, only the newest are averaged."""
-
-
 class SignalBuffer:
     """The newest value, and as many before it as a mean may need."""
+
+    _MAX_KEPT: Final = 100_000
+    """Most values kept for a mean; of more values in a period, only the newest are averaged."""
 
     def __init__(self) -> None:
         """Start without values."""
         self.refused = 0
         """Values that were not finite."""
-        self._values: deque[tuple[int, float]] = deque(maxlen=_MAX_KEPT)
+        self._values: deque[tuple[int, float]] = deque(maxlen=self._MAX_KEPT)
 
-    def push(self, value: float, at: int) -> None:
-        """Take a value with its time `at` (ns); a value that is not finite is only counted."""
+    def push(self, value: float, stamp: int) -> None:
+        """Take a value with its time `stamp` (ns); a value that is not finite is only counted."""
         if not math.isfinite(value):
             self.refused += 1
             return
         if (
-            self._values and at < self._values[-1][0]
+            self._values and stamp < self._values[-1][0]
         ):  # a clock was set back: the earlier times are not comparable
             self._values.clear()
-        self._values.append((at, value))
+        self._values.append((stamp, value))
 
     def clear(self) -> None:
         """Forget all values."""
@@ -392,10 +389,12 @@ class SignalBuffer:
             self._values.popleft()
         if not self._values or self._values[0][0] > start:
             return None
-        steps = [(max(at, start), value) for at, value in self._values if at < end]
-        if len({value for _, value in steps}) == 1:  # exactly, without the rounding of a sum
-            return steps[0][1]
-        ends = [at for at, _ in steps[1:]] + [end]
-        total = math.fsum(value * (until - at) for (at, value), until in zip(steps, ends, strict=True))
-        values = [value for _, value in steps]
+        before_end = [(stamp, value) for stamp, value in self._values if stamp < end]
+        values = [value for _, value in before_end]
+        if len(set(values)) == 1:  # exactly, without the rounding of a sum
+            return values[0]
+        begins = [max(stamp, start) for stamp, _ in before_end]
+        ends = [*begins[1:], end]
+        spans = zip(values, begins, ends, strict=True)
+        total = math.fsum(value * (span_end - begin) for value, begin, span_end in spans)
         return min(max(total / (end - start), min(values)), max(values))

@@ -60,13 +60,14 @@ class SignalSource:
     @property
     def text(self) -> str:
         """The source as written on a command line."""
-        more = [f"unit={self.unit}"] if self.unit else []
-        more += [
-            f"{n}={v:g}"
-            for n, v, usual in (("scale", self.scale, 1), ("offset", self.offset, 0))
-            if v != usual
-        ]
-        return "; ".join([", ".join(self.places), *more])
+        parts = [", ".join(self.places)]
+        if self.unit:
+            parts.append(f"unit={self.unit}")
+        if self.scale != 1:
+            parts.append(f"scale={self.scale:g}")
+        if self.offset != 0:
+            parts.append(f"offset={self.offset:g}")
+        return "; ".join(parts)
 
     @property
     def separate(self) -> tuple[str, ...]:
@@ -165,12 +166,12 @@ class SignalMap:
     period: float | None = None
     """Sampling period, s."""
 
-    def joined(self, other: SignalMap) -> SignalMap:
+    def joined(self, newer: SignalMap) -> SignalMap:
         """This map, updated with the entries of another."""
         return SignalMap(
-            {**self.sources, **other.sources},
-            other.plant or self.plant,
-            self.period if other.period is None else other.period,
+            {**self.sources, **newer.sources},
+            newer.plant or self.plant,
+            self.period if newer.period is None else newer.period,
         )
 
 
@@ -201,11 +202,11 @@ def parse_source(place: str, text: str) -> SignalSource:
     column, *settings = (part.strip() for part in text.split(";"))
     if not column:
         raise RecordingError(f"{place}: {_FORM}")
-    given: dict[str, Any] = {"column": column}
+    entry: dict[str, Any] = {"column": column}
     for setting in settings:
         name, _, value = (part.strip() for part in setting.partition("="))
-        given[name] = value if name == "unit" else _plain_number(value)
-    return source_of(place, given)
+        entry[name] = value if name == "unit" else _plain_number(value)
+    return source_of(place, entry)
 
 
 class _Source(msgspec.Struct, forbid_unknown_fields=True):
@@ -216,24 +217,24 @@ class _Source(msgspec.Struct, forbid_unknown_fields=True):
     offset: FiniteNumber = 0.0
 
 
-def source_of(place: str, given: Any) -> SignalSource:
+def source_of(place: str, entry: Any) -> SignalSource:
     """The source in an entry of a map, as YAML and JSON have it; error messages start with `place`.
 
     Raises:
         RecordingError: the column is missing, or a setting is unknown.
     """
-    if isinstance(given, str) and ";" in given:
-        return parse_source(place, given)
-    if isinstance(given, str | list):
-        given = {"column": given}
-    own = decoded(given, _Source, place, RecordingError)
-    columns = own.column or own.columns
+    if isinstance(entry, str) and ";" in entry:
+        return parse_source(place, entry)
+    if isinstance(entry, str | list):
+        entry = {"column": entry}
+    source = decoded(entry, _Source, place, RecordingError)
+    columns = source.column or source.columns
     columns = [columns] if isinstance(columns, str) else columns
     if not columns or not all(columns):
         raise RecordingError(f"{place}: the column is missing; give one, or a list to average")
-    if own.scale == 0:
+    if source.scale == 0:
         raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
-    return SignalSource(tuple(columns), own.unit, own.scale, own.offset)
+    return SignalSource(tuple(columns), source.unit, source.scale, source.offset)
 
 
 def _plain_number(text: str) -> Any:

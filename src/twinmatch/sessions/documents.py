@@ -107,12 +107,12 @@ def parse_json(text: str, place: str) -> Any:
 
 def _without_repetition(pairs: Sequence[tuple[str, Any]], place: str) -> dict[str, Any]:
     """An object in which every key is given once: of two, Python would take the last."""
-    found: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in document:
             raise DocumentError(f"{place}: {shown(key)} is given twice; give it once")
-        found[key] = value
-    return found
+        document[key] = value
+    return document
 
 
 def shown(value: object) -> str:
@@ -168,12 +168,12 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
     def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Any]:
         values: dict[str, Any] = {}
         merged: dict[str, Any] = {}
-        for key, given in node.value:
+        for key, value_node in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _RefusedError(key, "has a key that is not text")
             self._count(key)
             name = key.value[:MAX_TEXT]
-            value = self._value(given, depth + 1)
+            value = self._value(value_node, depth + 1)
             if key.tag == _MERGE:
                 sources = value if isinstance(value, list) else [value]
                 if not all(isinstance(source, dict) for source in sources):

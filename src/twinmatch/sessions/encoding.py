@@ -45,8 +45,8 @@ def encode(topic: Topic, tree: Tree, stamp: int | None = None) -> bytes:
     for name in [name for name in tree if name.endswith("_name")]:  # a word, beside its number
         whole[name.removesuffix("_name")] = numbers[tree[name].upper()]
     if stamp is not None:
-        seconds, rest = divmod(stamp, NANOSECONDS)
-        whole["header"] = {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": ""}
+        seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+        whole["header"] = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""}
     return encoder(whole)
 
 
@@ -60,6 +60,6 @@ def description_tree(description: Description, period: float) -> Tree:
 @cache
 def _encoder(topic: Topic) -> tuple[Callable[[Any], bytes], Mapping[str, int]]:
     """Encodes messages of a topic, and the numbers of its words."""
-    found = map(_CONSTANT.fullmatch, fields_of(topic.schema))
-    numbers = {match[1]: int(match[2]) for match in found if match}
+    matches = map(_CONSTANT.fullmatch, fields_of(topic.schema))
+    numbers = {match[1]: int(match[2]) for match in matches if match}
     return serialize_dynamic(topic.type, topic.schema)[topic.type], numbers

@@ -36,8 +36,8 @@ from twinmatch.signals import NANOSECONDS, Sample, incomplete
 
 def fields_of(schema: str) -> list[str]:
     """The field lines of a schema's first type, without comments and extra spaces."""
-    own = schema.split("=" * 80, maxsplit=1)[0]
-    lines = (" ".join(line.split("#", 1)[0].split()) for line in own.splitlines())
+    first_type = schema.split("=" * 80, maxsplit=1)[0]
+    lines = (" ".join(line.split("#", 1)[0].split()) for line in first_type.splitlines())
     return [line for line in lines if line]
 
 
@@ -224,13 +224,13 @@ def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_
     """
     reference: float | None = None
     for sample in samples:
-        at = sample.stamp
+        stamp = sample.stamp
         if REFERENCE in topics and sample.reference != reference:
             reference = sample.reference
-            yield Message(REFERENCE, at, at, encode_float64(reference))
+            yield Message(REFERENCE, stamp, stamp, encode_float64(reference))
         if TEMPERATURE_READING in topics:
-            yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.output))
-        yield Message(SAMPLE, at, at, encode_sample(sample))
+            yield Message(TEMPERATURE_READING, stamp, stamp, encode_temperature(stamp, sample.output))
+        yield Message(SAMPLE, stamp, stamp, encode_sample(sample))
 
 
 @lru_cache(maxsize=64)
@@ -329,8 +329,12 @@ def _arrays(lengths: tuple[int, ...]) -> str:
     fields = "Q"
     whole = True
     for length in lengths:
-        fields += "I" if not length else f"I4x{length}d" if whole else f"I{length}d"
-        whole = bool(length) or not whole
+        if not length:
+            fields += "I"
+            whole = not whole
+        else:
+            fields += f"I4x{length}d" if whole else f"I{length}d"
+            whole = True
     return fields
 
 
@@ -361,9 +365,9 @@ def decode_sample(data: bytes) -> Sample:
         raise SessionError(msg)
     try:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
-        at = 4 + (12 + length + 7) // 8 * 8
-        lengths = _lengths(order, data, at + 8)
-        index, *_ = values = struct.unpack_from(order + _arrays(lengths), data, at)
+        position = 4 + (12 + length + 7) // 8 * 8
+        lengths = _lengths(order, data, position + 8)
+        index, *_ = values = struct.unpack_from(order + _arrays(lengths), data, position)
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None
@@ -380,10 +384,10 @@ def decode_sample(data: bytes) -> Sample:
     )
 
 
-def _lengths(order: str, data: bytes, at: int) -> tuple[int, ...]:
-    """Lengths of the four sequences of float64; `at` is the position of the first."""
+def _lengths(order: str, data: bytes, position: int) -> tuple[int, ...]:
+    """Lengths of the four sequences of float64; `position` is that of the first."""
     lengths = []
     for _ in range(4):
-        lengths.append(_LENGTH[order].unpack_from(data, at)[0])
-        at = 4 + (at + 7) // 8 * 8 + 8 * lengths[-1] if lengths[-1] else at + 4
+        lengths.append(_LENGTH[order].unpack_from(data, position)[0])
+        position = 4 + (position + 7) // 8 * 8 + 8 * lengths[-1] if lengths[-1] else position + 4
     return tuple(lengths)

@@ -153,13 +153,13 @@ def files_of(folder: Path, wanted: Callable[[Path], bool]) -> tuple[list[Path], 
 
     They are those listed in `metadata.yaml`, all wanted ones without it.
     """
-    there = sorted(filter(wanted, folder.iterdir()), key=_by_number)
+    in_folder = sorted(filter(wanted, folder.iterdir()), key=_by_number)
     listed = [folder / name for name in files_listed(folder)]
     if not listed:
-        return there, [f"{METADATA} is missing or unreadable: the recording was not finished"]
+        return in_folder, [f"{METADATA} is missing or unreadable: the recording was not finished"]
     present = [file for file in listed if file.is_file() and wanted(file)]
     notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
-    stray = [file.name for file in there if file not in listed]
+    stray = [file.name for file in in_folder if file not in listed]
     notes += [f"{name} is not listed in {METADATA} and is left out; read it alone" for name in stray]
     return present, notes
 
@@ -174,13 +174,21 @@ def counts_listed(folder: Path) -> Mapping[str, int]:
     return {}
 
 
-def miscounted(listed: Mapping[str, int], found: Mapping[str, int]) -> list[str]:
+def miscounted(listed: Mapping[str, int], counted: Mapping[str, int]) -> list[str]:
     """A sentence on the topics of which `metadata.yaml` lists another number of messages than were found."""
-    both = {name: (listed.get(name, 0), found.get(name, 0)) for name in sorted({*listed, *found}) if listed}
-    wrong = [f"{a} of {name} ({b} found)" for name, (a, b) in both.items() if a != b]
-    told = ", ".join(wrong[:_MOST_TOLD])
-    more = f" and others of {len(wrong) - _MOST_TOLD} more topics" if len(wrong) > _MOST_TOLD else ""
-    return [f"{METADATA} lists other numbers of messages than the files hold: {told}{more}"] if wrong else []
+    if not listed:
+        return []
+    wrong = []
+    for name in sorted({*listed, *counted}):
+        stated = listed.get(name, 0)
+        present = counted.get(name, 0)
+        if stated != present:
+            wrong.append(f"{stated} of {name} ({present} found)")
+    if not wrong:
+        return []
+    text = ", ".join(wrong[:_MOST_TOLD])
+    further = f" and others of {len(wrong) - _MOST_TOLD} more topics" if len(wrong) > _MOST_TOLD else ""
+    return [f"{METADATA} lists other numbers of messages than the files hold: {text}{further}"]
 
 
 def mcap_files(folder: Path) -> list[Path]:
@@ -220,12 +228,15 @@ def doubt_record(number: int) -> str:
 
 def doubts(records: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Which samples of a session are doubted, as sentences."""
-    return [
-        f"samples {one.get('first')} to {one.get('last') or 'the last'} are doubted: {one.get('topic')} was "
-        f"published by {one.get('publishers')}, and a twin may have taken others than are recorded"
-        for name, one in records.items()
-        if name.startswith(DOUBT)
-    ]
+    sentences = []
+    for name, doubt in records.items():
+        if name.startswith(DOUBT):
+            span = f"samples {doubt.get('first')} to {doubt.get('last') or 'the last'}"
+            sentences.append(
+                f"{span} are doubted: {doubt.get('topic')} was published by {doubt.get('publishers')}, and a "
+                "twin may have taken others than are recorded"
+            )
+    return sentences
 
 
 def repairs(records: Mapping[str, Mapping[str, str]]) -> list[str]:

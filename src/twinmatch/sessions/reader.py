@@ -213,21 +213,31 @@ def _join(sessions: Sequence[Session], path: Path, left_out: Sequence[str]) -> S
     base = max(k for k, session in enumerate(sessions) if session.samples[0].index == begin)
     whole = sessions[base]
     later = sessions[base + 1 :]
+    parts = (whole, *later)
     notes = [*left_out]
     if len(sessions) > 1:
         notes.append(f"{whole.path.name} holds the run from its beginning")
-    source = _one_after_another([session.source for session in (whole, *later)]) if later else whole.source
-    counts = Counter(message.topic.name for message in source()) if later else whole.counts
-    topics = {topic.name: topic for session in (*later, whole) for topic in session.topics}
+    notes += whole.notes
+    for session in later:
+        notes += doubts(session.records)
+    if later:
+        source: Callable[[], Iterable[Message]] = _one_after_another([session.source for session in parts])
+        counts: Mapping[str, int] = Counter(message.topic.name for message in source())
+    else:
+        source = whole.source
+        counts = whole.counts
+    topics: dict[str, Topic] = {}
+    for session in (*later, whole):
+        topics |= {topic.name: topic for topic in session.topics}
     return replace(
         whole,
         name=named(Path(os.path.realpath(path)).name),
         path=path,
-        samples=joined(session.samples for session in (whole, *later)),
+        samples=joined(session.samples for session in parts),
         topics=list(topics.values()),
         counts={name: counts[name] for name in topics},
-        end=max(session.end for session in (whole, *later)),
-        notes=[*notes, *whole.notes, *(note for session in later for note in doubts(session.records))],
+        end=max(session.end for session in parts),
+        notes=notes,
         missing=[*left_out, *whole.missing],
         source=source,
     )
@@ -265,14 +275,18 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         end = max(end, message.log_time)
         if message.topic.type == SAMPLE.type:
             raw.setdefault(name, []).append(message)
-    topics = list({known.name: known for scan in scans for known in scan.topics}.values())
+    topics_by_name: dict[str, Topic] = {}
+    records: dict[str, Mapping[str, str]] = {}
+    for scan in scans:
+        topics_by_name |= {recorded.name: recorded for recorded in scan.topics}
+        records |= scan.records
+    topics = list(topics_by_name.values())
     name = named(path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem))
     faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
     samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
     check_samples(samples, place)
-    records = {name: values for scan in scans for name, values in scan.records.items()}
     missing = [*notes, *(_extent(fault, samples) for fault in faults), *repairs(records)]
     if path.is_dir() and not missing:
         missing = miscounted(counts_listed(path), counts)
@@ -281,8 +295,8 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         path=path,
         topic=chosen.name,
         samples=samples,
-        topics=[current_topic(known) for known in topics],
-        counts={known.name: counts[known.name] for known in topics},
+        topics=[current_topic(recorded) for recorded in topics],
+        counts={recorded.name: counts[recorded.name] for recorded in topics},
         start=start,
         end=end,
         notes=[
@@ -349,8 +363,8 @@ def _gaps(samples: list[Sample]) -> list[str]:
     if not gaps:
         return []
     shown = ", ".join(f"from {before} to {behind}" for before, behind in gaps[:3])
-    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
-    return [f"the samples' indices step {shown}{more}: samples are missing there"]
+    further = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
+    return [f"the samples' indices step {shown}{further}: samples are missing there"]
 
 
 def _clock(samples: list[Sample]) -> list[str]:

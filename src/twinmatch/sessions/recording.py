@@ -184,15 +184,15 @@ def write_session(
     _check_gaps(samples, target, allowed=gaps)
     _check_target(target, overwrite)
     topics = topics_of(samples) if topics is None else topics
-    what = "written"
+    step = "written"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with _scratch(target) as scratch:
-            what = "moved to its destination"
+            step = "moved to its destination"
             _write(scratch / target.name, samples, topics, progress, records or {})
             _move(scratch / target.name, target, scratch / "replaced")
     except OSError as error:
-        raise SessionError(f"session {target}: cannot be {what} ({error.strerror})") from error
+        raise SessionError(f"session {target}: cannot be {step} ({error.strerror})") from error
     return target
 
 
@@ -235,12 +235,12 @@ def _write(
             writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
 
 
-def _move(made: Path, target: Path, aside: Path) -> None:
+def _move(written: Path, target: Path, aside: Path) -> None:
     """Move a finished session to its destination; an existing one goes aside, and back if that fails."""
     if target.exists():
         target.rename(aside)
     try:
-        made.rename(target)
+        written.rename(target)
     except OSError:
         if aside.exists():
             aside.rename(target)
@@ -323,8 +323,8 @@ def repair_session(folder: Path | str) -> Repair:
 
 def _files(folder: Path) -> list[Path]:
     if not folder.is_dir():
-        what = "is a file; give its folder" if folder.is_file() else "does not exist"
-        raise SessionError(f"session {folder}: {what}")
+        problem = "is a file; give its folder" if folder.is_file() else "does not exist"
+        raise SessionError(f"session {folder}: {problem}")
     return mcap_files(folder)
 
 
@@ -332,8 +332,8 @@ def _files_at_rest(folder: Path) -> list[Path]:
     files = _files(folder)
     busy = [file.name for file in files if being_written(file)]
     if busy or files != _files(folder):
-        what = f"{busy[0]} is" if busy else "its files are"
-        raise SessionError(f"session {folder}: {what} still being written; end its recorder first")
+        subject = f"{busy[0]} is" if busy else "its files are"
+        raise SessionError(f"session {folder}: {subject} still being written; end its recorder first")
     return files
 
 
@@ -372,8 +372,10 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
 
 def _is_own(scan: Scan) -> bool:
     """Whether twinmatch wrote a file, or its damage may hide that: the original is kept then."""
-    alike = sum(a == b for a, b in zip(scan.library, LIBRARY, strict=False))
-    return scan.library == LIBRARY or (scan.is_damaged and (not scan.library or alike > len(LIBRARY) // 2))
+    same_letters = sum(a == b for a, b in zip(scan.library, LIBRARY, strict=False))
+    return scan.library == LIBRARY or (
+        scan.is_damaged and (not scan.library or same_letters > len(LIBRARY) // 2)
+    )
 
 
 def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> Repair:
@@ -395,8 +397,12 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
 
 
 def _damages(faults: Sequence[str]) -> list[str]:
-    """Those of the faults that may have cost messages, or changed them."""
-    return [fault for fault in faults if not any(words in fault for words in _NOTHING_MORE)]
+    """The faults that may have cost messages, or changed them."""
+    damages = []
+    for fault in faults:
+        if not any(words in fault for words in _NOTHING_MORE):
+            damages.append(fault)
+    return damages
 
 
 def _rewrite(copy: Path, files: list[Path], repair: Repair, ros_distro: str) -> None:

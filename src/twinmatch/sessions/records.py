@@ -135,44 +135,44 @@ class Walk:
         if self.first_gap < 0:
             self.first_gap = self.at
 
-    def _read(self, at: int) -> FileRecord | None:
+    def _read(self, place: int) -> FileRecord | None:
         """The record at a place; None if none begins there, or it does not end where it says."""
-        head = self._head(at)
-        if head is not None and self._is_clear(at, *head):
+        head = self._head(place)
+        if head is not None and self._is_clear(place, *head):
             opcode, length = head
-            return FileRecord(opcode, at, self._bytes(at + HEAD.size, length), length)
+            return FileRecord(opcode, place, self._bytes(place + HEAD.size, length), length)
         if self._chunks is None:
             self._chunks = self._index()
             self._starts = sorted(self._chunks)
-        if at in self._chunks:
+        if place in self._chunks:
             self._count_gap()
-            length = self._chunks[at]
-            return FileRecord(Opcode.CHUNK, at, self._bytes(at + HEAD.size, length), length)
-        if head is not None and self._is_possible(at, *head):
+            length = self._chunks[place]
+            return FileRecord(Opcode.CHUNK, place, self._bytes(place + HEAD.size, length), length)
+        if head is not None and self._is_possible(place, *head):
             opcode, length = head
-            return FileRecord(opcode, at, self._bytes(at + HEAD.size, length), length)
+            return FileRecord(opcode, place, self._bytes(place + HEAD.size, length), length)
         return None
 
-    def _is_clear(self, at: int, opcode: int, length: int) -> bool:
+    def _is_clear(self, place: int, opcode: int, length: int) -> bool:
         """Whether the fields of a record add up to its length, or, of a message, another record follows."""
-        begin = at + HEAD.size
+        begin = place + HEAD.size
         end = begin + length
         if opcode == Opcode.MESSAGE:
             return end <= self._end and self._may_begin(end)
         return (end <= self._end or opcode == Opcode.CHUNK) and self._fields_of(opcode, begin) == length
 
-    def _is_possible(self, at: int, opcode: int, length: int) -> bool:
+    def _is_possible(self, place: int, opcode: int, length: int) -> bool:
         """Whether a record of an unknown kind, of unknown further fields, or before damage, may be one:
         another record follows, unless it is a message, and none begins within it."""
-        end = at + HEAD.size + length
+        end = place + HEAD.size + length
         if end > self._end or (opcode == Opcode.MESSAGE and length < MESSAGE.size):
             return False
         follows = opcode == Opcode.MESSAGE or self._may_begin(end)
-        return follows and self._next(at + 1, end) == end
+        return follows and self._next(place + 1, end) == end
 
-    def _head(self, at: int) -> tuple[int, int] | None:
+    def _head(self, place: int) -> tuple[int, int] | None:
         """Opcode and length of the record at a place; None if it cannot be one."""
-        head = self._bytes(at, HEAD.size)
+        head = self._bytes(place, HEAD.size)
         if len(head) < HEAD.size:
             return None
         opcode, length = HEAD.unpack(head)
@@ -180,41 +180,41 @@ class Walk:
             return None
         return opcode, length
 
-    def _may_begin(self, at: int) -> bool:
+    def _may_begin(self, place: int) -> bool:
         """Whether a complete record may begin at a place, or the file or its last record ends there."""
-        if at == self._end or self._is_magic(at):
+        if place == self._end or self._is_magic(place):
             return True
-        head = self._head(at)
-        return head is not None and at + HEAD.size + head[1] <= self._end
+        head = self._head(place)
+        return head is not None and place + HEAD.size + head[1] <= self._end
 
-    def _is_magic(self, at: int) -> bool:
-        return at + len(MAGIC) == self._end and self._bytes(at, len(MAGIC)) == MAGIC
+    def _is_magic(self, place: int) -> bool:
+        return place + len(MAGIC) == self._end and self._bytes(place, len(MAGIC)) == MAGIC
 
-    def _is_cut(self, at: int) -> bool:
+    def _is_cut(self, place: int) -> bool:
         """Whether the record at a place is longer than what is left of the file."""
-        if self._end - at < HEAD.size:
+        if self._end - place < HEAD.size:
             return True
-        head = self._head(at)
-        return head is not None and at + HEAD.size + head[1] > self._end
+        head = self._head(place)
+        return head is not None and place + HEAD.size + head[1] > self._end
 
     def _next(self, begin: int, end: int) -> int:
         """The first place between two at which a record begins for certain; the latter if none does."""
-        at = begin
-        while at < end:
-            block = self._bytes(at, min(_BLOCK, end - at) + HEAD.size)
-            for place in _PERHAPS.finditer(block):
-                if at + place.start() < end and self._begins(at + place.start()):
-                    return at + place.start()
-            at += _BLOCK
+        block_begin = begin
+        while block_begin < end:
+            block = self._bytes(block_begin, min(_BLOCK, end - block_begin) + HEAD.size)
+            for match in _PERHAPS.finditer(block):
+                if block_begin + match.start() < end and self._begins(block_begin + match.start()):
+                    return block_begin + match.start()
+            block_begin += _BLOCK
         return end
 
-    def _begins(self, at: int) -> bool:
+    def _begins(self, place: int) -> bool:
         """Whether a record begins at a place for certain."""
-        head = self._head(at)
+        head = self._head(place)
         if head is None:
             return False
         opcode, length = head
-        begin = at + HEAD.size
+        begin = place + HEAD.size
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size or not self._may_begin(begin + length):
                 return False
@@ -225,23 +225,23 @@ class Walk:
 
     def _fields_of(self, opcode: int, begin: int) -> int | None:
         """The length of a body, added up from its fields; None if it has none, or the file ends in them."""
-        at = begin
+        position = begin
         fields = _FIELDS.get(opcode, ())
         for field in fields:
             if isinstance(field, int):
-                at += field
+                position += field
                 continue
             number = _LENGTHS[field]
-            text = self._bytes(at, number.size)
+            text = self._bytes(position, number.size)
             if len(text) < number.size:
                 return None
             (length,) = number.unpack(text)
-            at += number.size + length
-        return at - begin if fields else None
+            position += number.size + length
+        return position - begin if fields else None
 
-    def _bytes(self, at: int, count: int) -> bytes:
+    def _bytes(self, place: int, count: int) -> bytes:
         """So many bytes of the file, fewer at its end."""
-        if at >= self._end:
+        if place >= self._end:
             return b""
-        self._file.seek(at)
-        return self._file.read(min(count, self._end - at))
+        self._file.seek(place)
+        return self._file.read(min(count, self._end - place))

@@ -12,6 +12,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 from typing import Final
@@ -24,11 +25,18 @@ _AROUND: Final = 64
 """Sound messages before and after a damaged part that are compared with it."""
 _MOST: Final = 1000
 """Messages that are compared at once."""
-_SIDE: Final = 15
-"""Neighbours on each side that a message or sample is compared with."""
-_FAR: Final = 4.0
-"""Distance from their median at which a time is wrong, in median deviations: at the end of a regular row it
-is two."""
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """What a message or sample is compared with, and how far from it a time is wrong."""
+
+    on_each_side: int = 15
+    far: float = 4.0
+    """Distance from their median in median deviations: at the end of a regular row it is two."""
+
+
+_NEIGHBOURS: Final = Neighbours()
 _DECODED: Final = ("cdr", "ros2msg")
 
 
@@ -58,7 +66,7 @@ def mended(messages: Iterable[Message], on_drop: Callable[[], None]) -> Iterator
 def _released(
     before: Iterable[Message], waiting: Sequence[Message], on_drop: Callable[[], None]
 ) -> Iterator[Message]:
-    """Those of the waiting messages that can be right."""
+    """The waiting messages that can be right."""
     if not waiting:
         return
     context = list(before)
@@ -79,16 +87,22 @@ def _with_times(row: Sequence[Message]) -> list[Message]:
         if message.is_sound or not _is_far(times, number):
             result.append(message)
             continue
-        at = result[-1].log_time if result else int(median(times))
-        result.append(message._replace(log_time=at, publish_time=at))
+        time_before = result[-1].log_time if result else int(median(times))
+        result.append(message._replace(log_time=time_before, publish_time=time_before))
     return result
 
 
+def _around(number: int) -> slice:
+    """The places of a message and its neighbours in a row."""
+    side = _NEIGHBOURS.on_each_side
+    return slice(max(0, number - side), number + side + 1)
+
+
 def _is_far(times: Sequence[int], number: int) -> bool:
-    near = times[max(0, number - _SIDE) : number + _SIDE + 1]
+    near = times[_around(number)]
     middle = median(near)
     spread = median(abs(time - middle) for time in near)
-    return abs(times[number] - middle) > _FAR * spread + NANOSECONDS
+    return abs(times[number] - middle) > _NEIGHBOURS.far * spread + NANOSECONDS
 
 
 def _undecodable(row: Sequence[Message]) -> set[int]:
@@ -140,13 +154,13 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
     begins = [samples[place].stamp - samples[place].index * period for place in places]
     shapes = [samples[place].shape for place in places]
     likely: list[int] = []
-    kept: set[int] = set()
+    trusted: set[int] = set()
     last = -1
     for number, place in enumerate(places):
-        near = slice(max(0, number - _SIDE), number + _SIDE + 1)
+        near = _around(number)
         if place in sound:
-            kept |= _rising(likely, samples, last, samples[place].index)
-            kept.add(place)
+            trusted |= _rising(likely, samples, last, samples[place].index)
+            trusted.add(place)
             likely = []
             last = samples[place].index
         elif len(places) == 1 or (
@@ -154,7 +168,7 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
             and shapes[number] == max(shapes[near], key=shapes[near].count)
         ):
             likely.append(place)
-    return kept | _rising(likely, samples, last, None)
+    return trusted | _rising(likely, samples, last, None)
 
 
 def _rising(places: Sequence[int], samples: Mapping[int, Sample], above: int, below: int | None) -> set[int]:

@@ -129,9 +129,9 @@ class Scan:
             return
         if not beginning:
             raise SessionError(f"session {self.path}: the file is empty")
-        alike = sum(a == b for a, b in zip(beginning, MAGIC, strict=False))
+        same_bytes = sum(a == b for a, b in zip(beginning, MAGIC, strict=False))
         file.seek(max(0, size - len(MAGIC)))
-        if size <= len(MAGIC) or (alike < _HALF and file.read() != MAGIC):
+        if size <= len(MAGIC) or (same_bytes < _HALF and file.read() != MAGIC):
             raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
         if next(iter(Walk(file, len(MAGIC), min(size, _NEAR))), None) is None:
             raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
@@ -142,13 +142,13 @@ class Scan:
             index = self._summary(file)
             return {start: entry.chunk_length - HEAD.size for start, entry in index.items()}
 
-        own = source is file
+        is_file = source is file
         return Walk(
             source,
             begin,
             end,
             has_channel=self._channels.__contains__,
-            chunks=chunks if own else dict,
+            chunks=chunks if is_file else dict,
         )
 
     def _messages(self, walk: Walk, file: BinaryIO) -> Iterator[Message]:
@@ -209,33 +209,36 @@ class Scan:
             begin = len(body) - entry.compressed_size
             return _Chunk(entry.uncompressed_size, crc, entry.compression, begin, body[begin:])
         (length,) = struct.unpack_from("<I", body, _CHUNK.size)
-        begin = _CHUNK.size + 4 + length + 8
-        if begin > len(body) or begin + int.from_bytes(body[begin - 8 : begin], "little") != record.length:
+        compression_begin = _CHUNK.size + 4
+        size_begin = compression_begin + length
+        begin = size_begin + 8
+        stated_size = int.from_bytes(body[size_begin:begin], "little")
+        if begin > len(body) or begin + stated_size != record.length:
             raise _FaultError("a chunk cannot be read")
         data = body[begin:]
-        compression = body[_CHUNK.size + 4 : begin - 8].decode("utf-8", "replace")
+        compression = body[compression_begin:size_begin].decode("utf-8", "replace")
         if compression and compression not in _PACKED.values():
             compression = _PACKED.get(data[:4], compression)
         return _Chunk(size, crc, compression, begin, data)
 
     def _within(self, data: bytes, file: BinaryIO) -> Iterator[Message]:
         """The messages in the unpacked bytes of a chunk."""
-        at = 0
+        position = 0
         end = len(data)
-        while at + HEAD.size <= end:
-            opcode, length = HEAD.unpack_from(data, at)
-            begin = at + HEAD.size
+        while position + HEAD.size <= end:
+            opcode, length = HEAD.unpack_from(data, position)
+            begin = position + HEAD.size
             if not opcode or begin + length > end or (opcode == Opcode.MESSAGE and length < MESSAGE.size):
                 break
             if opcode == Opcode.MESSAGE:
                 yield from self._message(data[begin : begin + length], file)
             else:
                 self._take(opcode, data[begin : begin + length])
-            at = begin + length
-        if at == end:
+            position = begin + length
+        if position == end:
             return
         self._is_sound = False
-        walk = self._walk_over(BytesIO(data), at, end, file)
+        walk = self._walk_over(BytesIO(data), position, end, file)
         for record in walk:
             if record.opcode == Opcode.MESSAGE:
                 yield from self._message(record.body, file)
@@ -349,8 +352,8 @@ class Scan:
         """What is wrong, in a sentence; empty: nothing."""
         faults = [fault + (f" ({n} times)" if n > 1 else "") for fault, n in self._faults.items()]
         if walk.gaps:
-            more = f", nor at {walk.gaps - 1} other places" if walk.gaps > 1 else ""
-            faults.append(f"at byte {walk.first_gap} no record begins{more}")
+            further = f", nor at {walk.gaps - 1} other places" if walk.gaps > 1 else ""
+            faults.append(f"at byte {walk.first_gap} no record begins{further}")
         if self.unsound:
             faults.append(f"{self.unsound} messages were read that no checksum confirms")
         if self._stated > self._count:
@@ -391,8 +394,8 @@ def _footer_of(file: BinaryIO, size: int) -> Footer | None:
     if len(tail) < _FOOTER + len(MAGIC) or HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
         return None
     footer = _parse(Footer, tail[HEAD.size : _FOOTER])
-    at = size - len(MAGIC) - _FOOTER
-    if not 0 < footer.summary_start < at:
+    footer_begin = size - len(MAGIC) - _FOOTER
+    if not 0 < footer.summary_start < footer_begin:
         return None
     return footer
 
@@ -401,10 +404,10 @@ def _crc_of(file: BinaryIO, begin: int, end: int) -> int:
     """CRC of the bytes between two places."""
     crc = 0
     file.seek(begin)
-    left = end - begin
-    while left > 0 and (block := file.read(min(left, _PIECE))):
+    remaining = end - begin
+    while remaining > 0 and (block := file.read(min(remaining, _PIECE))):
         crc = zlib.crc32(block, crc)
-        left -= len(block)
+        remaining -= len(block)
     return crc
 
 

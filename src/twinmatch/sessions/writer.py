@@ -174,7 +174,7 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._failed = False
         self._closed = False
-        self._held: int | None = None
+        self._lock: int | None = None
         self._file: _SessionFile | None = None
         try:
             self.folder.mkdir(parents=True)
@@ -201,9 +201,9 @@ class SessionWriter:
         Raises:
             SessionError: a topic of that name has another type or QoS.
         """
-        known = self._topics.get(topic.name)
-        if known is not None:
-            if known != topic:
+        added = self._topics.get(topic.name)
+        if added is not None:
+            if added != topic:
                 msg = f"session {self.name}: {topic.name} was added before with another type or QoS"
                 raise SessionError(msg)
             return
@@ -293,8 +293,8 @@ class SessionWriter:
 
     def _hold(self, handle: int | None) -> None:
         """Keep the lock of another file, or of none; of two files the older is released last."""
-        before = self._held
-        self._held = handle
+        before = self._lock
+        self._lock = handle
         if before is not None:
             os.close(before)
 
