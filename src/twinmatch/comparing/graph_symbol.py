@@ -174,21 +174,23 @@ def _pad(coefficients: FloatArray, width: int) -> FloatArray:
 def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool) -> Column:
     """Column [d; N] over the product of the distinct denominators."""
     denominators: list[FloatArray] = []
-    which = []
+    places = []
     for _, d in pairs:
-        known = next((i for i, other in enumerate(denominators) if np.array_equal(d, other)), None)
-        which.append(len(denominators) if known is None else known)
-        if known is None:
+        match = next(
+            (i for i, denominator in enumerate(denominators) if np.array_equal(d, denominator)), None
+        )
+        places.append(len(denominators) if match is None else match)
+        if match is None:
             denominators.append(d)
     polynomials = exact([*denominators, *(n for n, _ in pairs)])
     below = polynomials[: len(denominators)]
     above = polynomials[len(denominators) :]
     for k, denominator in enumerate(below):
         if not any(denominator):
-            msg = f"model: the denominator of output {which.index(k)} is zero; give one that is not"
+            msg = f"model: the denominator of output {places.index(k)} is zero; give one that is not"
             raise DiscriminationError(msg)
     column = [product(below)]
-    for k, numerator in zip(which, above, strict=True):
+    for k, numerator in zip(places, above, strict=True):
         column.append(product([numerator, *below[:k], *below[k + 1 :]]))
     width = max(len(p) for p in column)
     column = trim_top([p + [0] * (width - len(p)) for p in column])

@@ -105,13 +105,13 @@ def _smallest(
     """Smallest |K G|/|K||G| over all frequencies; `inner` is K G."""
     high = chordal.with_powers_of_j(inner[0])
     low = chordal.with_powers_of_j(inner[1])
-    one = np.ones((1, 1))
+    unity = np.ones((1, 1))
     # as the search needs it: a sum of squares |G|²|K|² over |K G|², largest where the margin is smallest
     products = chordal.with_powers_of_j(_products(plant[0], controller[0]))
     grid = chordal.frequency_grid(poles, poles[:0])
     _, place = chordal.highest(
         chordal.with_derivatives(high),
-        chordal.with_derivatives(one),
+        chordal.with_derivatives(unity),
         chordal.with_derivatives(products),
         grid,
     )

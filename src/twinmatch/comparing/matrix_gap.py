@@ -60,22 +60,26 @@ def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
             value.
     """
     if first.D.shape != second.D.shape:
-        of = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
-        raise DiscriminationError(f"ν-gap: one model has {of[0]}, the other {of[1]}; they must be equal")
-    one, two = half_plane(first, second)
-    loop = closed_loop(one, two.adjoint)
+        sizes = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
+        raise DiscriminationError(
+            f"ν-gap: one model has {sizes[0]}, the other {sizes[1]}; they must be equal"
+        )
+    left_system, right_system = half_plane(first, second)
+    loop = closed_loop(left_system, right_system.adjoint)
     if loop is None:
         return 1.0
-    poles = [np.linalg.eigvals(system.A) for system in (one, two, loop)]
-    winds = int(np.sum(poles[2].real < 0)) != len(one.A)
+    poles = [np.linalg.eigvals(system.A) for system in (left_system, right_system, loop)]
+    winds = int(np.sum(poles[2].real < 0)) != len(left_system.A)
 
     def gaps(frequencies: FloatArray) -> FloatArray:
-        at = beside(frequencies, np.concatenate(poles[:2]))
-        return gaps_of(one.response(at), two.response(at))
+        frequencies_beside = beside(frequencies, np.concatenate(poles[:2]))
+        return gaps_of(left_system.response(frequencies_beside), right_system.response(frequencies_beside))
 
     if winds and gaps(frequencies_of(poles[2])).any():
         return 1.0
-    largest = _largest(gaps, lambda level: _level_zeros(one, two, level), np.concatenate(poles), ONE)
+    largest = _largest(
+        gaps, lambda level: _level_zeros(left_system, right_system, level), np.concatenate(poles), ONE
+    )
     return 1.0 if largest >= ONE else largest
 
 
@@ -110,10 +114,10 @@ def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 def gaps_of(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> FloatArray:
     """Gaps between responses at the same frequencies, shapes (frequencies, p, m) → (frequencies,)."""
-    right = _factor(first)
-    left = _factor(second.conj().swapaxes(1, 2))
-    half = np.linalg.solve(left.conj().swapaxes(1, 2), first - second)
-    whole = np.linalg.solve(right.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
+    right_factor = _factor(first)
+    left_factor = _factor(second.conj().swapaxes(1, 2))
+    half = np.linalg.solve(left_factor.conj().swapaxes(1, 2), first - second)
+    whole = np.linalg.solve(right_factor.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
     return np.asarray(np.minimum(1.0, sizes_of(whole)))
 
 
@@ -206,15 +210,15 @@ def _largest(
     best = 0.0
     place = 0.0
     for _ in range(MAX_LEVELS):
-        found = values(tried)
-        if found.max() <= best * (1 + ABOVE):
+        found_values = values(tried)
+        if found_values.max() <= best * (1 + ABOVE):
             break
-        best, place = _polish(values, float(found.max()), float(tried[found.argmax()]))
+        best, place = _polish(values, float(found_values.max()), float(tried[found_values.argmax()]))
         if best >= ceiling:
             break
-        at = zeros(best * (1 + ABOVE))
-        at = np.sort(at.imag[np.abs(at.real) <= NEAR_AXIS * np.abs(at)])
-        tried = np.concatenate([[place], at, 0.5 * (at[1:] + at[:-1])])
+        crossings = zeros(best * (1 + ABOVE))
+        crossings = np.sort(crossings.imag[np.abs(crossings.real) <= NEAR_AXIS * np.abs(crossings)])
+        tried = np.concatenate([[place], crossings, 0.5 * (crossings[1:] + crossings[:-1])])
     return best
 
 
@@ -239,12 +243,12 @@ def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: floa
         if not np.isfinite(middle) or width <= FINE * abs(middle):
             break
         tried = middle + width * NEIGHBOURS
-        found = values(tried)
-        if found.max() > best:
-            best = float(found.max())
-            place = float(tried[found.argmax()])
-        before, at, after = found
-        bend = before - 2 * at + after
+        found_values = values(tried)
+        if found_values.max() > best:
+            best = float(found_values.max())
+            place = float(tried[found_values.argmax()])
+        before, centre, after = found_values
+        bend = before - 2 * centre + after
         step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
         middle += float(np.clip(step, -2.0, 2.0)) * width
         width *= CLOSER if abs(step) < 1 else 1.0
@@ -255,10 +259,10 @@ def beside(frequencies: FloatArray, poles: Matrix) -> FloatArray:
     """The frequencies, moved away from poles on the axis."""
     sizes = np.abs(poles)
     limit = ON_AXIS * max(sizes.max(initial=0.0), 1.0)
-    others = sizes[sizes > limit]
-    off = BESIDE * float(others.min(initial=1.0) if others.size else 1.0)
+    off_axis = sizes[sizes > limit]
+    distance = BESIDE * float(off_axis.min(initial=1.0) if off_axis.size else 1.0)
     moved = frequencies.copy()
     for pole in poles[np.abs(poles.real) <= limit].imag:
-        near = np.abs(moved - pole) < off
-        moved[near] = pole + off
+        near = np.abs(moved - pole) < distance
+        moved[near] = pole + distance
     return moved

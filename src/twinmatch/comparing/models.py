@@ -115,8 +115,8 @@ def identify(
         ladder = estimate_ladder(u, y, orders, hops=0, period=window.period)
         return tuple(SimoModel(o, ladder[o], None, scale, lead) for o in orders)
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
-    with ThreadPoolExecutor(1) as other:
-        u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
+    with ThreadPoolExecutor(1) as executor:
+        u_models = executor.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
         y_models = estimate_ladder(r, y, orders, hops=0, period=window.period)
     return tuple(SimoModel(o, y_models[o], u_models.result()[o], lead=lead) for o in orders)
 

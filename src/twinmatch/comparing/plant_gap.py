@@ -95,12 +95,14 @@ def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: 
     )
     states = run.states[-2]
     inputs = run.inputs[-1]
-    held = finite(np.append(states, inputs))
-    linear = linearised_at(parameters, states, inputs, loop.law.period) if held else None
+    is_finite = finite(np.append(states, inputs))
+    linear = linearised_at(parameters, states, inputs, loop.law.period) if is_finite else None
     if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
-        at = " and ".join(f"{y:g} {of.unit}" for y, of in zip(row, model.plant.outputs.values(), strict=True))
-        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {at}")
+        in_words = " and ".join(
+            f"{y:g} {output.unit}" for y, output in zip(row, model.plant.outputs.values(), strict=True)
+        )
+        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {in_words}")
     return linear
 
 
@@ -137,10 +139,12 @@ def response_slopes(
             moved = value - STEP * declared.scale
         twins.append(parameters.replace(**{name: moved}))
         steps.append(moved - value)
-    response, *others = _responses([linearised_in_loop(twin, set_point, loop) for twin in twins], loop.scales)
+    response, *moved_responses = _responses(
+        [linearised_in_loop(twin, set_point, loop) for twin in twins], loop.scales
+    )
     slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
-    for row, other, step in zip(slopes, others, steps, strict=True):
-        row[:] = (other - response) / step
+    for row, moved_response, step in zip(slopes, moved_responses, steps, strict=True):
+        row[:] = (moved_response - response) / step
     return response, slopes
 
 
@@ -159,7 +163,7 @@ def spans_of(plant: type[Plant]) -> Scales:
     """Half the span of the set-points and half the drive's range."""
     outputs = [y.set_points or y.span for y in plant.outputs.values()]
     inputs = [u.limits for u in plant.drives.values()]
-    return Scales(*(point_of([(high - low) / 2 for low, high in each]) for each in (outputs, inputs)))
+    return Scales(*(point_of([(high - low) / 2 for low, high in ranges]) for ranges in (outputs, inputs)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +207,8 @@ def plant_gaps(
             left_out.append(str(error))
         else:
             shared.append(point)
-    at = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]
-    return PlantGaps(tuple(shared), at, tuple(left_out))
+    gaps = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]
+    return PlantGaps(tuple(shared), gaps, tuple(left_out))
 
 
 def _gaps_between(symbols: Sequence[GraphSymbol | StateSpace]) -> FloatArray:

@@ -293,15 +293,15 @@ def _refine_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArr
     from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
 
     count, width = quotients.shape
-    others = rows.shape[1] - width
-    products = np.vstack([_product_matrix(q, others) for q in quotients])
+    degree = rows.shape[1] - width
+    products = np.vstack([_product_matrix(q, degree) for q in quotients])
     factor = _least_squares(products, rows.ravel())
     for _ in range(STEPS):
         slopes = np.hstack([products, block_diag(*[_product_matrix(factor, width - 1)] * count)])
         step = _least_squares(slopes, rows.ravel() - products @ factor)
-        factor = factor + step[: others + 1]
-        quotients = quotients + step[others + 1 :].reshape(count, width)
-        products = np.vstack([_product_matrix(q, others) for q in quotients])
+        factor = factor + step[: degree + 1]
+        quotients = quotients + step[degree + 1 :].reshape(count, width)
+        products = np.vstack([_product_matrix(q, degree) for q in quotients])
     return quotients, float(np.abs(products @ factor - rows.ravel()).max())
 
 

@@ -108,18 +108,18 @@ class StateSpace:
 
     def scaled(self, outputs: ArrayLike, inputs: ArrayLike) -> StateSpace:
         """The same with outputs and inputs counted in these units, shapes (p,) and (m,); of one a number."""
-        above, below = (np.atleast_1d(np.asarray(each, dtype=np.float64)) for each in (inputs, outputs))
+        above, below = (np.atleast_1d(np.asarray(units, dtype=np.float64)) for units in (inputs, outputs))
         below = below[:, None]
         return StateSpace(self.A, self.B * above, self.C / below, self.D * above / below, self.period)
 
     def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:
         """Values of a continuous system at frequencies (rad/s; may be infinite): (frequencies, p, m)."""
         n = len(self.A)
-        at = np.isfinite(frequencies)
+        is_finite = np.isfinite(frequencies)
         values = np.broadcast_to(self.D + 0j, (frequencies.size, *self.D.shape)).copy()
-        if n and at.any():
-            resolvent = 1j * frequencies[at, None, None] * np.eye(n) - self.A
-            values[at] += self.C @ np.linalg.solve(resolvent, self.B[None])
+        if n and is_finite.any():
+            resolvent = 1j * frequencies[is_finite, None, None] * np.eye(n) - self.A
+            values[is_finite] += self.C @ np.linalg.solve(resolvent, self.B[None])
         return values
 
     def minimal(self) -> StateSpace:

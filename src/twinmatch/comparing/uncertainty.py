@@ -173,21 +173,21 @@ def fitting_scales(
 
     The actual estimate is the sum over the pairs of the largest |v|.
     """
-    seen = 0.0
+    estimate = 0.0
     most = 0.0
     for p in which:
-        seen += math.sqrt(a[p].max())
+        estimate += math.sqrt(a[p].max())
         most += math.sqrt(c[p].max())
     draws = b.shape[2]
     rare = int(tail * draws)
     # beyond these limits no draw reaches the actual estimate
-    widest = 2 * most / max(seen, 1e-300)
+    widest = 2 * most / max(estimate, 1e-300)
     low = max(0.0, 1.0 - widest)
     high = 1.0
-    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= seen) > rare:
+    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= estimate) > rare:
         high = 0.0
-    least, _ = _bisect_scale(which, a, b, c, seen, rare, low, high)
-    _, largest = _bisect_scale(which, a, b, c, seen, draws - rare - 1, 1.0, 1.0 + widest)
+    least, _ = _bisect_scale(which, a, b, c, estimate, rare, low, high)
+    _, largest = _bisect_scale(which, a, b, c, estimate, draws - rare - 1, 1.0, 1.0 + widest)
     return least, largest
 
 
@@ -267,8 +267,8 @@ def family_uncertainty(
     family = _Family.of(twins, gaps, loop, seed)
     low = np.zeros((n, n))
     high = np.zeros((n, n))
-    with ThreadPoolExecutor(1) as other:  # the sums are compiled code, which releases the GIL
-        sums = other.submit(lambda: [family.sum_of(k) for k in range(n)])
+    with ThreadPoolExecutor(1) as executor:  # the sums are compiled code, which releases the GIL
+        sums = executor.submit(lambda: [family.sum_of(k) for k in range(n)])
         for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
             low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
     lows, highs, draws = map(np.array, zip(*sums.result(), strict=True))
@@ -320,20 +320,20 @@ class _Family:
     def sum_of(self, candidate: int) -> tuple[float, float, FloatArray]:
         """Interval of one candidate's sum, and the sum in every draw, shape (draws,); pairs failing the
         winding condition count separately."""
-        own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
-        winding_failed = own[self.gaps[own] == 1]
-        rest = own[self.gaps[own] < 1]
+        pairs = np.flatnonzero((self.first == candidate) | (self.second == candidate))
+        winding_failed = pairs[self.gaps[pairs] == 1]
+        close_pairs = pairs[self.gaps[pairs] < 1]
         draws = np.zeros(DRAWS)
         for pair in winding_failed:
             draws += self._whole(pair)
         low = float(np.quantile(draws, TAIL))
         high = float(winding_failed.size)
-        if rest.size:
-            total = float(self.gaps[rest].sum())
-            least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
+        if close_pairs.size:
+            total = float(self.gaps[close_pairs].sum())
+            least, most = fitting_scales(close_pairs, self.a, self.b, self.c, TAIL)
             low = low + least * total
-            high = high + min(float(rest.size), most * total)
-            draws += _recentre(self._estimates(rest), total)
+            high = high + min(float(close_pairs.size), most * total)
+            draws += _recentre(self._estimates(close_pairs), total)
         return low, high, draws
 
     def distance(self, pair: int) -> FloatArray:
@@ -387,8 +387,8 @@ def _directions(
     if not points:
         return directions(np.zeros(1, np.complex128)), directions(np.zeros((DRAWS, 1), np.complex128))
     loose = twin.free if len(root) else ()
-    known = [response_slopes(twin.parameters, loose, point, loop) for point in points]
-    response = np.concatenate([response for response, _ in known])
-    moves = draws @ np.hstack([slopes for _, slopes in known])
+    slopes_at_points = [response_slopes(twin.parameters, loose, point, loop) for point in points]
+    response = np.concatenate([response for response, _ in slopes_at_points])
+    moves = draws @ np.hstack([slopes for _, slopes in slopes_at_points])
     moved = np.asarray(response + moves, dtype=np.complex128)
     return directions(response), directions(moved)

@@ -159,10 +159,10 @@ class ControllerAnswer:
 
 def operating_points(references: FloatArray) -> tuple[Point, ...]:
     """The distinct set-points of a profile, at most `MAX_POINTS` that are spread over them, and both ends."""
-    every = np.unique(references, axis=0)
-    if len(every) > MAX_POINTS:
-        every = every[np.linspace(0, len(every) - 1, MAX_POINTS).round().astype(int)]
-    return tuple(tuple(row) for row in every.tolist())
+    set_points = np.unique(references, axis=0)
+    if len(set_points) > MAX_POINTS:
+        set_points = set_points[np.linspace(0, len(set_points) - 1, MAX_POINTS).round().astype(int)]
+    return tuple(tuple(row) for row in set_points.tolist())
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable course grows without bound; NaN is unsafe
@@ -186,14 +186,16 @@ def try_controller(
     laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
     reservations = _reservations(plant, question.law)
     progress = _Progress(watch, (1 + len(laws)) * sum(map(len, drawn)))
-    stability, kept, notes = _stabilities(list(zip(members, drawn, strict=True)), points, question, progress)
-    owners = [(members[k], drawn[k]) for k in kept]
+    stability, held_twins, notes = _stabilities(
+        list(zip(members, drawn, strict=True)), points, question, progress
+    )
+    owners = [(members[k], drawn[k]) for k in held_twins]
     courses = [_courses(owners, law, question, progress) for law in laws]
-    names = tuple(members[k].name for k in kept)
+    names = tuple(members[k].name for k in held_twins)
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
     period = question.holding.period
     guarantee = None
-    if stability and all(one.eigenvalue < 1.0 for one in stability):
+    if stability and all(loop.eigenvalue < 1.0 for loop in stability):
         try:
             guarantee = guarantee_of(plant, stability, as_linear(question.law))
         except DiscriminationError as error:
@@ -263,19 +265,19 @@ def _stabilities(
     """
     linear = None if isinstance(question.law, TwoLevel) else as_linear(question.law)
     stability = []
-    kept = []
+    held_twins = []
     notes = []
     for k, (member, drawn) in enumerate(owners):
         progress.step(len(drawn))
         try:
             if linear is not None:
                 stability.append(stability_of(member, linear, points, question.holding, drawn))
-            kept.append(k)
+            held_twins.append(k)
         except PlantError as error:
             notes.append(f"{member.name} is left out: {error}")
-    if not kept:
+    if not held_twins:
         raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
-    return stability, kept, notes
+    return stability, held_twins, notes
 
 
 def _courses(
@@ -374,9 +376,9 @@ def _decide(
     question: ControllerQuestion,
 ) -> tuple[ControllerDecision, str, OpenQuestion | None]:
     """The decision, its sentence, and what is left open."""
-    failing = [one for one in stability if one.fails]
+    failing = [loop for loop in stability if loop.fails]
     if failing:
-        first = max(failing, key=lambda one: one.eigenvalue)
+        first = max(failing, key=lambda loop: loop.eigenvalue)
         where = levels_words(plant, first.point)
         size = f"{first.eigenvalue:.4f}" if first.eigenvalue < _LARGE else f"{first.eigenvalue:.3g}"
         why = f"its loop is unstable at {where}: largest eigenvalue {size}"
@@ -384,11 +386,11 @@ def _decide(
     conduct = _misconduct(names, courses)
     if conduct is not None and conduct[0] is ControllerDecision.FAILS:
         return *conduct, None
-    unsure = [one for one in stability if not one.sound]
-    draws = sum(one.eigenvalues.size for one in stability)
+    unsure = [loop for loop in stability if not loop.sound]
+    draws = sum(loop.eigenvalues.size for loop in stability)
     if unsure:
-        first = max(unsure, key=lambda one: one.unstable)
-        unstable = sum(int(np.sum(one.eigenvalues >= 1.0)) for one in stability)
+        first = max(unsure, key=lambda loop: loop.unstable)
+        unstable = sum(int(np.sum(loop.eigenvalues >= 1.0)) for loop in stability)
         words = f"undecided: unstable in {unstable} of {draws} draws of what the data leave open"
         if not first.member.free:
             return ControllerDecision.UNDECIDED, words, None
@@ -396,15 +398,15 @@ def _decide(
         return ControllerDecision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
     if conduct is not None:
         return *conduct, None
-    of = f"{len(names)} of {len(names)} twins"
-    words = f"within the safe range, and switching, on {of}"
+    all_twins = f"{len(names)} of {len(names)} twins"
+    words = f"within the safe range, and switching, on {all_twins}"
     if stability:
-        worst = max(stability, key=lambda one: one.eigenvalue)
-        every = [margin for one in stability for margin in one.margins]
-        gain = min(m.gain_change for m in every)
-        delay = min(m.delay for m in every)
+        worst = max(stability, key=lambda loop: loop.eigenvalue)
+        margins = [margin for loop in stability for margin in loop.margins]
+        gain = min(m.gain_change for m in margins)
+        delay = min(m.delay for m in margins)
         words = (
-            f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
+            f"stable on {all_twins} and in {draws} draws of their parameters, largest eigenvalue "
             f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by "
             f"{delay:.3g} s"
         )
@@ -419,16 +421,16 @@ def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
 def _misconduct(names: Sequence[str], courses: Courses) -> tuple[ControllerDecision, str] | None:
     """A decision and its sentence if courses do what safe ones never do: on a twin whatever the data leave
     open, or in some draws."""
-    often = None
-    for words, each in courses.misconduct.items():
-        share = {k: float(np.mean(each[courses.owner == k])) for k in np.unique(courses.owner).astype(int)}
+    undecided = None
+    for words, is_seen in courses.misconduct.items():
+        share = {k: float(np.mean(is_seen[courses.owner == k])) for k in np.unique(courses.owner).astype(int)}
         failing = [k for k in sorted(share) if share[k] >= 1.0 - MAX_UNSTABLE]
         if failing:
             return ControllerDecision.FAILS, _fails(len(failing), names, names[failing[0]], words)
-        if often is None and max(share.values()) > MAX_UNSTABLE:
-            said = f"undecided: in {int(each.sum())} of {each.size} draws {words}"
-            often = ControllerDecision.UNDECIDED, said
-    return often
+        if undecided is None and max(share.values()) > MAX_UNSTABLE:
+            sentence = f"undecided: in {int(is_seen.sum())} of {is_seen.size} draws {words}"
+            undecided = ControllerDecision.UNDECIDED, sentence
+    return undecided
 
 
 def levels_words(plant: type[Plant], point: Sequence[float]) -> str:

@@ -50,33 +50,33 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     Raises:
         DiscriminationError: a plant or the law has no valid linear model, or a gap or margin has no value.
     """
-    named = [(one.member.name, point, linear) for one in stability for point, linear in one.plants.items()]
+    named = [(loop.member.name, point, linear) for loop in stability for point, linear in loop.plants.items()]
     spaces = [StateSpace.of(linear) for *_, linear in named]
     outputs, inputs = spans_of(plant)
     middle = _middle([space.scaled(outputs, inputs) for space in spaces])
     name, point, _ = named[middle]
     origin = spaces[middle]
     controller = StateSpace.of(law)
-    every = max(len(spaces) // MAX_SEARCHED, 1)
-    found = best_scaling(origin, spaces[::every], controller, outputs=outputs, inputs=inputs)
-    scaled = origin.scaled(found.outputs, found.inputs)
+    stride = max(len(spaces) // MAX_SEARCHED, 1)
+    best = best_scaling(origin, spaces[::stride], controller, outputs=outputs, inputs=inputs)
+    scaled = origin.scaled(best.outputs, best.inputs)
 
     def largest(systems: Sequence[StateSpace]) -> float:
-        gaps = (matrix_nu_gap(scaled, each.scaled(found.outputs, found.inputs)) for each in systems)
+        gaps = (matrix_nu_gap(scaled, system.scaled(best.outputs, best.inputs)) for system in systems)
         return max(gaps, default=0.0)
 
-    drawn = [StateSpace.of(linear) for one in stability for linear in one.others]
-    gap = found.gap if every == 1 else largest(spaces)
-    scaling = found._replace(gap=gap)
-    return Guarantee(name, point, scaling, largest(drawn), len(spaces) + len(drawn))
+    draws = [StateSpace.of(linear) for loop in stability for linear in loop.others]
+    gap = best.gap if stride == 1 else largest(spaces)
+    scaling = best._replace(gap=gap)
+    return Guarantee(name, point, scaling, largest(draws), len(spaces) + len(draws))
 
 
 def _middle(spaces: Sequence[StateSpace]) -> int:
     """Number of the system whose largest pointwise gap to another is smallest."""
     mapped = half_plane(*spaces)
-    poles = np.concatenate([np.linalg.eigvals(each.A) for each in mapped])
-    at = beside(frequencies_of(poles)[::4], poles)
-    responses = np.array([each.response(at) for each in mapped])
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in mapped])
+    frequencies = beside(frequencies_of(poles)[::4], poles)
+    responses = np.array([system.response(frequencies) for system in mapped])
     size = len(mapped)
     flat = responses.reshape(-1, *responses.shape[2:])
     worst = [

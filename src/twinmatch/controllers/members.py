@@ -76,8 +76,8 @@ class TriedTwin:
         if self.unexplained is None:
             return None
         there_and_back = np.concatenate([self.unexplained, self.unexplained[::-1]])
-        at = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
-        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[at] - there_and_back[at[0]])
+        places = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
+        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[places] - there_and_back[places[0]])
         return path
 
 
@@ -111,10 +111,10 @@ class Holding:
             PlantError: it is not held there within the limits of the drives.
         """
         model = parameters.model
-        held = None
+        rest_point = None
         if self.law is not None and not self._switches:
-            held = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
-        states, inputs = held or rest_at(parameters, levels, disturbances)
+            rest_point = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
+        states, inputs = rest_point or rest_at(parameters, levels, disturbances)
         low, high = self._limits(parameters)
         finite = bool(np.isfinite(states).all() and np.isfinite(inputs).all())
         if not finite or not ((low < inputs) & (inputs < high)).all():
@@ -134,8 +134,8 @@ class Holding:
             law=self.law,
             disturbances=np.tile(steady, (self.samples, 1)),
         )
-        found = Rest(run.states[-2], run.inputs[-1])
+        rest_point = Rest(run.states[-2], run.inputs[-1])
         limits = self._limits(parameters)
         near = np.abs(run.outputs[-1] - row) <= _HELD * model.noise
-        limited = (found.inputs <= limits[0]) | (found.inputs >= limits[1])
-        return found if near.all() or limited.any() else None
+        limited = (rest_point.inputs <= limits[0]) | (rest_point.inputs >= limits[1])
+        return rest_point if near.all() or limited.any() else None

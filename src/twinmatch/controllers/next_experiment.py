@@ -131,8 +131,8 @@ class ExperimentTerms:
         if holding.law is None:
             levels = np.array([drive.limits for drive in plant.drives.values()]).T
         else:
-            each = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
-            levels = np.clip(each, *ends)
+            spans = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
+            levels = np.clip(spans, *ends)
             for low, high in [np.transpose(ranges)] if ranges else []:
                 levels = np.clip(levels, low, high)
         return cls(holding, before, size, levels, ends)
@@ -267,24 +267,26 @@ def goal_named(
     """
     if not members:
         raise ControllerError("experiment: there is no twin to predict its courses")
-    for each in ("structure", "parameters") if name is None else (name,):
-        found = GOALS[each](members, terms, answer)
-        if isinstance(found, LearningGoal):
-            return found
-    raise ControllerError(f"experiment: {found}")
+    for goal_name in ("structure", "parameters") if name is None else (name,):
+        goal = GOALS[goal_name](members, terms, answer)
+        if isinstance(goal, LearningGoal):
+            return goal
+    raise ControllerError(f"experiment: {goal}")
 
 
 def _structure(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    first = {each.parameters.model.structure_name: Contender(each) for each in reversed(members)}
-    if len(first) < 2:
-        return f"all twins have the structure {next(iter(first))}; choose --for parameters"
-    return LearningGoal("structure", tuple(first.values()), pairs=True)
+    first_twins = {twin.parameters.model.structure_name: Contender(twin) for twin in reversed(members)}
+    if len(first_twins) < 2:
+        return f"all twins have the structure {next(iter(first_twins))}; choose --for parameters"
+    return LearningGoal("structure", tuple(first_twins.values()), pairs=True)
 
 
 def _parameters(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    kept = tuple(Contender(each) for each in members if each.free and each.covariance is not None)
+    contenders = tuple(Contender(twin) for twin in members if twin.free and twin.covariance is not None)
     return (
-        LearningGoal("parameters", kept) if kept else "no twin leaves a parameter open; record more samples"
+        LearningGoal("parameters", contenders)
+        if contenders
+        else "no twin leaves a parameter open; record more samples"
     )
 
 
@@ -295,12 +297,12 @@ def _controller(*asked: Any) -> LearningGoal | str:
         return "--for controller needs the law in question; give --loop FILE"
     contenders = []
     directions = []
-    for one in answer.stability:
-        if not one.sound and one.member.free and len(one.drawn) > len(one.member.free):
-            values = np.array([[drawn[name] for name in one.member.free] for drawn in one.drawn])
-            sizes = np.where(np.isfinite(one.eigenvalues), one.eigenvalues, 2.0)
+    for loop in answer.stability:
+        if not loop.sound and loop.member.free and len(loop.drawn) > len(loop.member.free):
+            values = np.array([[drawn[name] for name in loop.member.free] for drawn in loop.drawn])
+            sizes = np.where(np.isfinite(loop.eigenvalues), loop.eigenvalues, 2.0)
             slopes = np.linalg.lstsq(values - values.mean(axis=0), sizes - sizes.mean(), rcond=None)[0]
-            contenders.append(Contender(one.member))
+            contenders.append(Contender(loop.member))
             directions.append(slopes)
     if not contenders:
         return f"the law is not undecided for its stability ({answer.sentence})"
@@ -321,20 +323,20 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     def command(factor: float) -> float | None:
         grown = parameters.replace(**{lost: factor * parameters[lost]})
         try:
-            rest = terms.holding.linear(grown, before).rest
+            rest_point = terms.holding.linear(grown, before).rest
         except PlantError:
             return None
-        return float(rest.inputs[0] - parameters.model.rest[0])
+        return float(rest_point.inputs[0] - parameters.model.rest[0])
 
     def beyond(factor: float) -> float:
-        found = command(factor)
-        return 1.0 if found is None else found * share / now - 1.0
+        needed = command(factor)
+        return 1.0 if needed is None else needed * share / usual_command - 1.0
 
-    now = command(1.0) or 0.0
+    usual_command = command(1.0) or 0.0
     most = command(_GROWN)
-    if not now:
+    if not usual_command:
         return f"{leader.name} needs no command at {before}, or is not held there; begin at another level"
-    most_by = math.inf if most is None else most / now
+    most_by = math.inf if most is None else most / usual_command
     if _SEEN * most_by <= 1.0:
         return (
             f"at {before} the {_GROWN:g}-fold {lost} needs a command {most_by:.3g} times as large: "
@@ -345,11 +347,11 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     if abs(beyond(factor)) > _NEAR:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
     sick = parameters.replace(**{lost: factor * parameters[lost]})
-    known = np.array(
+    covariance = np.array(
         leader.covariance if leader.covariance is not None else np.zeros((len(leader.free),) * 2)
     )
-    known[leader.free.index(lost), leader.free.index(lost)] += (_UNSURE * sick[lost]) ** 2
-    losses = replace(leader, name="grown losses", parameters=sick, covariance=known, states=None)
+    covariance[leader.free.index(lost), leader.free.index(lost)] += (_UNSURE * sick[lost]) ** 2
+    losses = replace(leader, name="grown losses", parameters=sick, covariance=covariance, states=None)
     drive = replace(leader, name="weak drive", states=None)
     return LearningGoal("fault", (Contender(drive, share), Contender(losses)), pairs=True)
 
@@ -382,17 +384,17 @@ def next_experiment(
     search = _Search(members, goal, terms)
     table = _staircases(terms)
     ranked = []
-    for done, each in enumerate(table):
-        curve = search.curve(each, leaders=True)
+    for number, staircase in enumerate(table):
+        curve = search.curve(staircase, leaders=True)
         if curve is not None:
-            ranked.append((curve, each))
+            ranked.append((curve, staircase))
         if watch is not None:
-            watch(done, 2 * len(table))
+            watch(number, 2 * len(table))
     ranked.sort(key=lambda one: -one[0][-1])
     tried: list[tuple[FloatArray, Staircase]] = []
-    for _, each in ranked:
-        curve = search.curve(each)
-        tried += [] if curve is None else [(curve, each)]
+    for _, staircase in ranked:
+        curve = search.curve(staircase)
+        tried += [] if curve is None else [(curve, staircase)]
         if len(tried) == _FEW:
             break
     if not tried:
@@ -402,11 +404,13 @@ def next_experiment(
             "widen --within, or begin further from its ends"
         )
     far = sorted(tried, key=lambda one: -one[0][-1])[:_POLISHED]
-    tried += [search.polished(each, curve, lambda row: -row[-1]) for curve, each in far if not goal.pairs]
+    tried += [
+        search.polished(staircase, curve, lambda row: -row[-1]) for curve, staircase in far if not goal.pairs
+    ]
     reach = min(NEARLY * max(float(curve.max()) for curve, _ in tried), goal.most)
     delay = partial(_delay, reach=reach)
     early = sorted(ranked, key=lambda one: delay(one[0]))[: 2 * _FEW]
-    tried += [(curve, each) for _, each in early if (curve := search.curve(each)) is not None]
+    tried += [(curve, staircase) for _, staircase in early if (curve := search.curve(staircase)) is not None]
     curve, best = min(tried, key=lambda one: delay(one[0]))
     curve, best = search.polished(best, curve, delay)
     most = max(float(curve.max()) for curve, _ in tried)
@@ -414,13 +418,13 @@ def next_experiment(
     course = search.worth("proposed", search.rows(best)[:size])
     calm = np.tile(search.base, (len(course.rows), 1))
     for rows in [calm] if running is None else [calm, running]:
-        known = search.worth("proposed", rows)
-        if known.within and known.characters > course.characters - LEAST:
-            course = known
-    others = [
+        alternative = search.worth("proposed", rows)
+        if alternative.within and alternative.characters > course.characters - LEAST:
+            course = alternative
+    plain_courses = [
         search.worth(name, rows) for name, rows in _plain(course.rows, search.base, terms.levels).items()
     ]
-    return NextExperiment(goal, members[0], terms, course, tuple(others), most)
+    return NextExperiment(goal, members[0], terms, course, tuple(plain_courses), most)
 
 
 def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -428,18 +432,18 @@ def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
     search = _Search([found.leader], found.goal, found.terms)
-    each = []
+    characters = []
     for contender in found.goal.contenders:
         run = search.run(contender, outputs, inputs)
         whole = _information(run.slopes, np.array([len(outputs)]))
         if not found.goal.pairs:
-            each.append(_characters_of(whole, len(_root(contender)))[0])
+            characters.append(_characters_of(whole, len(_root(contender)))[0])
             continue
         miss = (outputs - run.outputs) / run.noise
         pull = np.einsum("ko,koi->i", miss, run.slopes)
         cost = np.sum(miss**2) - pull @ np.linalg.solve(whole[0], pull)
-        each.append(-_characters_of(whole, 0)[0] - 0.5 * cost / math.log(2.0))
-    return np.array(each)
+        characters.append(-_characters_of(whole, 0)[0] - 0.5 * cost / math.log(2.0))
+    return np.array(characters)
 
 
 def _delay(curve: FloatArray, reach: float) -> float:
@@ -468,12 +472,12 @@ def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, 
     more room, a random binary sequence of as much to both sides, nothing."""
     from scipy.signal import max_len_seq  # noqa: PLC0415 — slow to load
 
-    by = _PLAIN * (levels[1] - levels[0])
-    by = np.where(levels[1] - base >= base - levels[0], by, -by)
+    step = _PLAIN * (levels[1] - levels[0])
+    step = np.where(levels[1] - base >= base - levels[0], step, -step)
     bits = np.resize(np.repeat(max_len_seq(5)[0], max(len(rows) // 31, 1)), len(rows)).astype(bool)
-    binary = np.clip(np.where(bits[:, None], base + by, base - by), *levels)
+    binary = np.clip(np.where(bits[:, None], base + step, base - step), *levels)
     return {
-        "step": np.tile(base + by, (len(rows), 1)),
+        "step": np.tile(base + step, (len(rows), 1)),
         "PRBS": binary,
         "nothing": np.tile(base, (len(rows), 1)),
     }
@@ -483,15 +487,17 @@ class _Search:
     def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
         self.goal = goal
         self.terms = terms
-        known = [each.twin for each in goal.contenders]
-        self.others = [Contender(each) for each in members if each not in known]
-        self.family = [Contender(each) for each in members]
+        contending = [contender.twin for contender in goal.contenders]
+        self.others = [Contender(twin) for twin in members if twin not in contending]
+        self.family = [Contender(twin) for twin in members]
         plant = members[0].parameters.model.plant
         law = terms.holding.law
         if law is not None:
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
-        self.starts = {id(each.twin): _start(each, terms) for each in (*goal.contenders, *self.family)}
+        self.starts = {
+            id(contender.twin): _start(contender, terms) for contender in (*goal.contenders, *self.family)
+        }
         self.base = terms.before if law is not None else self.starts[id(members[0])][1]
         self.marks = np.unique(np.linspace(1, terms.size, _MARKS).round().astype(int))
 
@@ -502,9 +508,9 @@ class _Search:
         """Characters at every mark, of the leaders nearly; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
-        runs = [self.run(each, rows) for each in contenders]
-        others = [] if leaders else (self.run(each, rows) for each in self.others)
-        if not all(run.within(self.terms.outputs) for each in (runs, others) for run in each):
+        runs = [self.run(contender, rows) for contender in contenders]
+        other_runs = [] if leaders else (self.run(contender, rows) for contender in self.others)
+        if not all(run.within(self.terms.outputs) for group in (runs, other_runs) for run in group):
             return None
         return self._characters(runs, self.marks, nearly=leaders)
 
@@ -512,18 +518,18 @@ class _Search:
         self, staircase: Staircase, curve: FloatArray, cost: Callable[[FloatArray], float]
     ) -> tuple[FloatArray, Staircase]:
         """The one of least cost that small movements of levels and times lead to."""
-        for by in _MOVES:
-            for moved in staircase.moved(by):
-                found = self.curve(moved)
-                if found is not None and cost(found) < cost(curve):
-                    curve = found
+        for movement in _MOVES:
+            for moved in staircase.moved(movement):
+                moved_curve = self.curve(moved)
+                if moved_curve is not None and cost(moved_curve) < cost(curve):
+                    curve = moved_curve
                     staircase = moved
         return curve, staircase
 
     def worth(self, name: str, rows: FloatArray) -> CourseWorth:
-        runs = [self.run(each, rows) for each in self.goal.contenders]
+        runs = [self.run(contender, rows) for contender in self.goal.contenders]
         end = np.array([len(rows)])
-        family = tuple(self.run(each, rows) for each in self.family)
+        family = tuple(self.run(contender, rows) for contender in self.family)
         fits = all(run.within(self.terms.outputs) for run in (*runs, *family))
         root = _root(self.family[0])
         inside = np.linalg.inv(_information(family[0].slopes, end)[0])[: len(root), : len(root)]
@@ -539,26 +545,26 @@ class _Search:
         model = twin.parameters.model
         period = terms.holding.period
         steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
-        rest = model.rest
+        rest_commands = model.rest
         share = contender.share
         if commands is None and self.law is not None:
-            law = self.law if share == 1.0 else _weakened(self.law, share, rest)
-            at = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
-            held = state_holding(law, terms.before, at, inputs)
+            law = self.law if share == 1.0 else _weakened(self.law, share, rest_commands)
+            outputs_at_start = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
+            state = state_holding(law, terms.before, outputs_at_start, inputs)
             run = simulate_closed_loop(
-                twin.parameters, rows, states=states, law=law, controller=held, disturbances=steady
+                twin.parameters, rows, states=states, law=law, controller=state, disturbances=steady
             )
-            commands = rest + (run.inputs - rest) / share
+            commands = rest_commands + (run.inputs - rest_commands) / share
         commands = rows if commands is None else commands
         free = twin.free if twin.covariance is not None else ()
 
         def under(part: float) -> tuple[FloatArray, FloatArray]:
-            acting = rest + part * (commands - rest)
+            acting = rest_commands + part * (commands - rest_commands)
             return sensitivities(twin.parameters, free, acting, states, period=period, disturbances=steady)
 
         noise = model.noise if twin.noise is None else twin.noise
-        outputs, by = under(share)
-        slopes = by @ _root(contender) if free else by
+        outputs, derivatives = under(share)
+        slopes = derivatives @ _root(contender) if free else derivatives
         if share != 1.0:
             size = (under(share * 1.01)[0] - outputs) / 0.01 * _UNSURE
             slopes = np.concatenate([slopes, size[:, :, None]], axis=2)
@@ -579,30 +585,30 @@ class _Search:
             apart = {
                 (a, b): self._apart(runs[a], contenders[b], marks) for a, b in pairs if a < b or not nearly
             }
-            apart = {(b, a): each for (a, b), each in apart.items()} | apart
+            apart = {(b, a): characters for (a, b), characters in apart.items()} | apart
             nearest = [
                 np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0) for a in range(len(runs))
             ]
             return np.asarray(np.mean(np.minimum(nearest, ENOUGH), axis=0))
-        found = []
+        characters = []
         for k, run in enumerate(runs):
             whole = _information(run.slopes, marks)
             root = _root(contenders[k])
             if not goal.directions:
-                found.append(_characters_of(whole, len(root)))
+                characters.append(_characters_of(whole, len(root)))
                 continue
             way = np.zeros(whole.shape[1])
             way[: len(root)] = root.T @ goal.directions[k]
-            left = np.linalg.solve(whole, np.tile(way, (len(marks), 1))[:, :, None])[:, :, 0] @ way
-            found.append(0.5 * np.log2(way @ way / left))
-        return np.asarray(np.mean(found, axis=0))
+            left_open = np.linalg.solve(whole, np.tile(way, (len(marks), 1))[:, :, None])[:, :, 0] @ way
+            characters.append(0.5 * np.log2(way @ way / left_open))
+        return np.asarray(np.mean(characters, axis=0))
 
     def _apart(self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]) -> FloatArray:
         """Characters that a contender's readings cost its rival, fitted to them again, at these ends."""
-        other = self.run(rival, run.outputs, run.inputs)
-        miss = (run.outputs - other.outputs) / other.noise
-        whole = _information(other.slopes, marks)
-        pull = np.cumsum(np.einsum("ko,koi->ki", miss, other.slopes), axis=0)[marks - 1]
+        rival_run = self.run(rival, run.outputs, run.inputs)
+        miss = (run.outputs - rival_run.outputs) / rival_run.noise
+        whole = _information(rival_run.slopes, marks)
+        pull = np.cumsum(np.einsum("ko,koi->ki", miss, rival_run.slopes), axis=0)[marks - 1]
         explained = np.einsum("ki,ki->k", pull, np.linalg.solve(whole, pull[:, :, None])[:, :, 0])
         costs = np.cumsum(np.sum(miss**2, axis=1))[marks - 1] - explained
         return np.asarray(0.5 * costs / math.log(2.0))
@@ -616,8 +622,8 @@ def _information(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
 
 def _characters_of(whole: FloatArray, known: int) -> FloatArray:
     """What readings tell of the first parameters, given I + JᵀJ of all, shape (marks, n, n)."""
-    others = whole[:, known:, known:]
-    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(others)[1]) / math.log(2.0))
+    nuisance = whole[:, known:, known:]
+    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(nuisance)[1]) / math.log(2.0))
 
 
 def _root(contender: Contender) -> FloatArray:
@@ -634,22 +640,22 @@ def _start(contender: Contender, terms: ExperimentTerms) -> tuple[FloatArray, Fl
     if twin.states is not None and twin.inputs is not None:
         return twin.states, twin.inputs
     try:
-        rest = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
+        rest_point = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
     except PlantError as error:
         raise ControllerError(f"experiment: {twin.name}: {error}") from error
-    return rest.states, rest.inputs
+    return rest_point.states, rest_point.inputs
 
 
 def _weakened(law: Law, share: float, rest: FloatArray) -> Law:
     """The same law if its drives do a share of what they are given."""
     if isinstance(law, TwoLevel):
-        off, on = (float(rest[0] + share * (level - rest[0])) for level in (law.off, law.on))
-        return replace(law, off=off, on=on)
+        off_level, on_level = (float(rest[0] + share * (level - rest[0])) for level in (law.off, law.on))
+        return replace(law, off=off_level, on=on_level)
     assert isinstance(law, LinearLaw)  # noqa: S101 (the search converts)
-    kept = (1.0 - share) * rest
-    changed = {name: share * getattr(law, name) + kept for name in ("offset", "low", "high")}
-    drives = None if law.drives is None else share * law.drives + kept
+    rest_part = (1.0 - share) * rest
+    changed = {name: share * getattr(law, name) + rest_part for name in ("offset", "low", "high")}
+    drives = None if law.drives is None else share * law.drives + rest_part
     return replace(
         law, C=share * law.C, D=share * law.D, E=share * law.E, G=law.G / share, drives=drives,
-        shift=law.shift - law.G @ kept / share, **changed,
+        shift=law.shift - law.G @ rest_part / share, **changed,
     )  # fmt: skip

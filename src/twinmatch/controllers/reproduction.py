@@ -42,20 +42,20 @@ def reproduced(
     else:
         state = _first_state(law, references, readings, inputs)
         room = law.high - law.low
-    given = commands_of(law.code, state, references, readings)[0]
-    return Reproduction(state, float(np.mean(np.abs(given - inputs) <= _NEAR * np.abs(room))))
+    commands = commands_of(law.code, state, references, readings)[0]
+    return Reproduction(state, float(np.mean(np.abs(commands - inputs) <= _NEAR * np.abs(room))))
 
 
 def _first_state(
     law: LinearLaw, references: FloatArray, readings: FloatArray, inputs: FloatArray
 ) -> FloatArray:
-    some = inputs[: _BEGINNING * law.n_states]
-    limited = np.flatnonzero(((some <= law.low) | (some >= law.high)).any(axis=1))
-    size = int(limited[0]) if limited.size else len(some)
+    beginning = inputs[: _BEGINNING * law.n_states]
+    limited = np.flatnonzero(((beginning <= law.low) | (beginning >= law.high)).any(axis=1))
+    size = int(limited[0]) if limited.size else len(beginning)
     zero = np.zeros(law.n_states)
     rows = [law.C]
     for _ in range(size - 1):
         rows.append(rows[-1] @ (law.A + law.G @ law.C))
     forced = commands_of(law.code, zero, references[:size], readings[:size])[0]
-    off = (inputs[:size] - forced).ravel()
-    return np.array(np.linalg.lstsq(np.vstack(rows), off, rcond=_DETERMINED)[0]) if size else zero
+    differences = (inputs[:size] - forced).ravel()
+    return np.array(np.linalg.lstsq(np.vstack(rows), differences, rcond=_DETERMINED)[0]) if size else zero

@@ -49,8 +49,8 @@ class Run(NamedTuple):
 def loaded(law: Law, load: FloatArray) -> Law:
     """The same law with a load at the plant's inputs, shape (m,): the plant receives command plus load."""
     if isinstance(law, TwoLevel):
-        by = float(load[0])
-        return replace(law, off=law.off + by, on=law.on + by)
+        step = float(load[0])
+        return replace(law, off=law.off + step, on=law.on + step)
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
     return replace(
         law,
@@ -70,13 +70,13 @@ def taken_by(plant: type[Plant], law: Law) -> Law:
     """
     low, high = np.array([drive.limits for drive in plant.drives.values()]).T
     if isinstance(law, TwoLevel):
-        off, on = np.clip((law.off, law.on), low[0], high[0]).tolist()
-        return replace(law, off=off, on=on)
+        off_level, on_level = np.clip((law.off, law.on), low[0], high[0]).tolist()
+        return replace(law, off=off_level, on=on_level)
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
-    taken = np.array([np.maximum(law.low, low), np.minimum(law.high, high)])
-    if not (taken[0] < taken[1]).all():
+    limits = np.array([np.maximum(law.low, low), np.minimum(law.high, high)])
+    if not (limits[0] < limits[1]).all():
         raise PlantError("the law's limits leave nothing of what the drives take; give limits within theirs")
-    return law if np.array_equal(taken, [law.low, law.high]) else replace(law, drives=taken)
+    return law if np.array_equal(limits, [law.low, law.high]) else replace(law, drives=limits)
 
 
 def limits_of(law: Law) -> FloatArray:
@@ -99,27 +99,27 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
 
     The run is over a profile of `size` samples and, without noise, longer at its last set-points.
     """
-    found: dict[str, bool] = {}
+    conduct: dict[str, bool] = {}
     end = size + 2 * (len(run.outputs) - size) // 3
     steps = np.abs(np.diff(run.references, axis=0)).max(axis=0, initial=0.0)
     for j, (name, output) in enumerate(plant.outputs.items()):
         y = run.outputs[:, j]
         low, high = counted_range(output)
-        found[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
+        conduct[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
         if isinstance(law, LinearLaw):
             step = steps[j] or LOAD * np.ptp(output.set_points or output.span)
             moves = not np.ptp(y[end:]) <= max(SETTLED * step, _SEEN * output.noise)
-            found[f"{name} does not settle after the profile"] = moves
+            conduct[f"{name} does not settle after the profile"] = moves
     if isinstance(law, TwoLevel):
         u = run.inputs[:, 0]
         away = np.abs(run.outputs[:, 0] - run.references[:, 0])
         gone = np.ptp(u[size:]) == 0 and away[-1] > away[size]
-        return found | {"it no longer switches": bool(gone or np.ptp(u) == 0)}
+        return conduct | {"it no longer switches": bool(gone or np.ptp(u) == 0)}
     limited = (run.inputs <= limits_of(law)[0]) | (run.inputs >= limits_of(law)[1])
     for i, name in enumerate(plant.drives):
         most = np.mean(limited[:, i]) > _GREATER or limited[end:, i].all()
-        found[f"{name} is at a limit for the greater part of the time"] = bool(most)
-    return found
+        conduct[f"{name} is at a limit for the greater part of the time"] = bool(most)
+    return conduct
 
 
 def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -131,10 +131,10 @@ def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs:
         on = float(inputs[0] > 0.5 * (law.off + law.on))
         return np.array([on, law.least_on + law.least_off, float(outputs[0])])
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
-    known = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
-    given = inputs - law.D @ outputs - law.E @ references - law.offset
+    state_part = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
+    command_part = inputs - law.D @ outputs - law.E @ references - law.offset
     rows = np.vstack([law.C, np.eye(law.n_states) - law.A])
-    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([given, known]), rcond=None)[0]
+    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([command_part, state_part]), rcond=None)[0]
     return state
 
 
@@ -163,15 +163,15 @@ def run_law(
     model = parameters.model
     size = len(references)
     row = model.disturbance_row(disturbances)
-    at: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
-    still = np.zeros((size, at.size))
-    shaken, apart = (still if each is None else each for each in (noise, slow))
+    readings: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
+    zeros = np.zeros((size, readings.size))
+    shaken, apart = (zeros if deviation is None else deviation for deviation in (noise, slow))
     run = simulate_closed_loop(
         parameters,
         references,
         states=begun,
         law=law if load is None else loaded(law, load),
-        controller=state_holding(law, before, at, inputs) if state is None else state,
+        controller=state_holding(law, before, readings, inputs) if state is None else state,
         disturbances=np.tile(row, (size, 1)),
         sensor=SensorRealisation(shaken + apart, np.zeros(size, dtype=np.bool_), 0.0),
     )
@@ -218,36 +218,36 @@ def quantities_of(
     """All figures of a course over a profile, and of those after a load at each input, beside one without."""
     plant = model_of.model.plant
     period = law.period
-    found: dict[CourseFigure, float] = {}
-    off = run.outputs - run.references
+    figures: dict[CourseFigure, float] = {}
+    errors = run.outputs - run.references
     with np.errstate(over="ignore", invalid="ignore"):
         for j, (name, output) in enumerate(plant.outputs.items()):
             steps = step_figures(run.references[:, j], run.outputs[:, j], output.noise, period)
-            found[CourseFigure("mean squared error", name, f"{output.unit}²")] = float(
-                np.mean(off[:, j] ** 2)
+            figures[CourseFigure("mean squared error", name, f"{output.unit}²")] = float(
+                np.mean(errors[:, j] ** 2)
             )
-            found[CourseFigure("overshoot", name, output.unit)] = steps.overshoot
-            found[CourseFigure("settling time", name, "s")] = steps.settling
-            found[CourseFigure("lowest", name, output.unit)] = float(run.outputs[:, j].min())
-            found[CourseFigure("highest", name, output.unit)] = float(run.outputs[:, j].max())
+            figures[CourseFigure("overshoot", name, output.unit)] = steps.overshoot
+            figures[CourseFigure("settling time", name, "s")] = steps.settling
+            figures[CourseFigure("lowest", name, output.unit)] = float(run.outputs[:, j].min())
+            figures[CourseFigure("highest", name, output.unit)] = float(run.outputs[:, j].max())
             for drive, load in zip(plant.drives, loads, strict=True):
                 from_ = "" if len(plant.drives) == 1 else f" at {drive}"
                 worst = float(np.abs(load.outputs[:, j] - still.outputs[:, j]).max())
-                found[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
+                figures[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
         units = {output.unit for output in plant.outputs.values()}
         if len(plant.outputs) > 1 and len(units) == 1:
-            whole = float(np.mean(np.sum(off**2, axis=1)))
-            found[CourseFigure("mean squared error", "all outputs", f"{units.pop()}²")] = whole
+            whole = float(np.mean(np.sum(errors**2, axis=1)))
+            figures[CourseFigure("mean squared error", "all outputs", f"{units.pop()}²")] = whole
         if isinstance(law, TwoLevel):
-            return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
+            return figures | _cycle(run, next(iter(plant.outputs.values())).unit, period)
         for i, (name, declared) in enumerate(plant.drives.items()):
             u = run.inputs[:, i]
             low, high = limits_of(law)[:, i]
             moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
-            found[CourseFigure("travel a minute", name, declared.unit)] = moved
+            figures[CourseFigure("travel a minute", name, declared.unit)] = moved
             limited = float(np.mean((u <= low) | (u >= high)))
-            found[CourseFigure("time at a limit", name, "%")] = 100.0 * limited
-    return found
+            figures[CourseFigure("time at a limit", name, "%")] = 100.0 * limited
+    return figures
 
 
 def _cycle(run: Run, unit: str, period: float) -> dict[CourseFigure, float]:

@@ -108,7 +108,7 @@ def retune(
     tuning = _Tuning(gains, tuple(_cases(twins, gains, level, holding, aim)), aim, max_sensitivity)
     start = np.zeros(len(tuning.names))
     x = tuning.search(math.log(most_change))
-    before, after = (float(tuning.sensitivities(at).max()) for at in (start, x))
+    before, after = (float(tuning.sensitivities(factors).max()) for factors in (start, x))
     improvement = 1.0 - math.exp(tuning.criterion(x) - tuning.criterion(start))
     ceiling = max_sensitivity * (1 + TOLERANCE)
     worse = aim == "quiet" and tuning.cost(x)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
@@ -164,14 +164,16 @@ class _Tuning:
         """M_s of every twin, the largest over its operating points."""
         linear = as_linear(self.law(x))
         loops = [[WholeLoop(plant, linear) for plant in case.plants] for case in self.cases]
-        return np.array([min(max(loop.sensitivity() for loop in each), MAX_COUNTED) for each in loops])
+        return np.array(
+            [min(max(loop.sensitivity() for loop in loops_of_twin), MAX_COUNTED) for loops_of_twin in loops]
+        )
 
     def cost(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Mean squared error in the mean over the twins, and its derivatives."""
-        now = self._first * np.exp(x)
-        found = [case.cost(now) for case in self.cases]
-        slopes = np.mean([slope for _, slope in found], axis=0)
-        return float(np.mean([value for value, _ in found])), np.asarray(slopes * now, dtype=np.float64)
+        gains = self._first * np.exp(x)
+        costs = [case.cost(gains) for case in self.cases]
+        slopes = np.mean([slope for _, slope in costs], axis=0)
+        return float(np.mean([value for value, _ in costs])), np.asarray(slopes * gains, dtype=np.float64)
 
     def criterion(self, x: FloatArray) -> float:
         """Logarithm of what is made small."""
@@ -190,7 +192,7 @@ class _Tuning:
         limits = [NonlinearConstraint(self.sensitivities, -np.inf, self.ceiling)]
         if self.aim == "quiet":
             limits.append(NonlinearConstraint(lambda x: [self.cost(x)[0] / origin], -np.inf, 1.0))
-        found = minimize(
+        solution = minimize(
             self.criterion,
             start,
             jac=self._slope,
@@ -199,7 +201,7 @@ class _Tuning:
             constraints=limits,
             options={"maxiter": MAX_STEPS, "ftol": 1e-5},
         )
-        return np.asarray(found.x, dtype=np.float64)
+        return np.asarray(solution.x, dtype=np.float64)
 
 
 def _tuned(gains: PidGains) -> tuple[str, ...]:
@@ -257,9 +259,9 @@ def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ..
     output = twin.parameters.model.plant.output
     plants = []
     low, high = output.set_points or output.span
-    for by in (0.0, STEP, -STEP):
+    for shift in (0.0, STEP, -STEP):
         try:
-            plants.append(holding.linear(twin.parameters, [level + by * (high - low)], twin.disturbances))
+            plants.append(holding.linear(twin.parameters, [level + shift * (high - low)], twin.disturbances))
         except PlantError:
             continue  # the drive does not reach that far
     return tuple(plants)

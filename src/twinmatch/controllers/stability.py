@@ -81,18 +81,22 @@ def stability_of(
     sizes = {point: loop.eigenvalue for point, loop in loops.items()}
     worst = max(sizes, key=sizes.__getitem__)
     margins = [loop.margins() for loop in loops.values()]
-    each = [(one, _loops(one, law, list(loops), holding, row)[0]) for one in drawn]
-    each = [(one, held) for one, held in each if held] or [(member.parameters, loops)]
+    held_draws = [(draw, _loops(draw, law, list(loops), holding, row)[0]) for draw in drawn]
+    held_draws = [(draw, loops_of_draw) for draw, loops_of_draw in held_draws if loops_of_draw] or [
+        (member.parameters, loops)
+    ]
     return MemberStability(
         member,
         sizes[worst],
         worst,
-        tuple(one for one, _ in each),
-        np.array([max(loop.eigenvalue for loop in held.values()) for _, held in each]),
+        tuple(draw for draw, _ in held_draws),
+        np.array(
+            [max(loop.eigenvalue for loop in loops_of_draw.values()) for _, loops_of_draw in held_draws]
+        ),
         tuple(_least(channel) for channel in zip(*margins, strict=True)),
         max(loop.sensitivity() for loop in loops.values()),
         {point: loop.plant for point, loop in loops.items()},
-        tuple(loop.plant for _, held in each[:COMPARED] for loop in held.values()),
+        tuple(loop.plant for _, loops_of_draw in held_draws[:COMPARED] for loop in loops_of_draw.values()),
     )
 
 
@@ -100,14 +104,14 @@ def _loops(
     parameters: Parameters, law: LinearLaw, points: Sequence[Point], holding: Holding, row: FloatArray | None
 ) -> tuple[dict[Point, WholeLoop], str]:
     """The loop at every point at which the plant can be held, and why not at another."""
-    held = {}
+    loops = {}
     error = ""
     for point in points:
         try:
-            held[point] = WholeLoop(holding.linear(parameters, point, row), law)
+            loops[point] = WholeLoop(holding.linear(parameters, point, row), law)
         except PlantError as found:
             error = str(found)
-    return held, error
+    return loops, error
 
 
 def _least(margins: Sequence[ChannelMargins]) -> ChannelMargins:
@@ -135,7 +139,7 @@ def open_question(found: MemberStability, point: Sequence[float], holding: Holdi
     """The parameter that decides over the draws, and the step after which the outputs show it most."""
     free = found.member.free
     drawn = found.drawn
-    values = np.array([[one[name] for name in free] for one in drawn])
+    values = np.array([[draw[name] for name in free] for draw in drawn])
     spread = values.std(axis=0)
     finite = np.isfinite(found.eigenvalues)
     sizes = np.where(finite, found.eigenvalues, 2.0)
@@ -161,13 +165,16 @@ def _difference(
     model = pair[0].model
     change = np.array([step * (name == drive) for name in model.plant.drives])
     moves: list[FloatArray] = []
-    for one in pair:
-        states = begin(one, point)
+    for parameters in pair:
+        states = begin(parameters, point)
         runs = (
             simulate_driven(
-                one, np.tile(model.rest + by, (holding.samples, 1)), states=states, period=holding.period
+                parameters,
+                np.tile(model.rest + movement, (holding.samples, 1)),
+                states=states,
+                period=holding.period,
             )
-            for by in (0.0 * change, change)
+            for movement in (0.0 * change, change)
         )
         moves.append(np.subtract(*(run.outputs for run in runs)))
     return float(np.sqrt(np.mean(((moves[0] - moves[1]) / model.noise) ** 2)))

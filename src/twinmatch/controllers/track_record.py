@@ -96,9 +96,9 @@ def compared(
     place = seen.astype(bool)
     errors = (readings - answer.references)[place]
     outputs = answer.plant.outputs
-    found = [(q, s) for q, s in answer.courses.figures.items() if q.name == COST]
-    quantity, spread = found[-1]  # that of all outputs follows those of each
-    of = [j for j, name in enumerate(outputs) if quantity.signal in {name, "all outputs"}]
+    costs = [(q, s) for q, s in answer.courses.figures.items() if q.name == COST]
+    quantity, spread = costs[-1]  # that of all outputs follows those of each
+    columns = [j for j, name in enumerate(outputs) if quantity.signal in {name, "all outputs"}]
     low, median, high = answer.courses.outputs[:, place]
     room = _NORMAL * noise
     below, above = (np.hypot(end - median, room) for end in (low, high))
@@ -113,7 +113,7 @@ def compared(
         "signal": quantity.signal,
         "unit": quantity.unit,
         **spread._asdict(),
-        "measured": max(float(np.sum(np.mean(errors[:, of] ** 2, axis=0) - noise[of] ** 2)), 0.0),
+        "measured": max(float(np.sum(np.mean(errors[:, columns] ** 2, axis=0) - noise[columns] ** 2)), 0.0),
         "share": float(np.mean(inside)),
         "stable": bool(within.all() and (last <= _HELD * largest).all()),
         "error": float(np.abs(errors).max()),
@@ -126,11 +126,15 @@ def widening_of(comparisons: Iterable[LawComparison]) -> tuple[float, int]:
     """The factor on the half widths of predicted costs that these comparisons show to be needed, 1 or more;
     and on how many of them it rests: those with a finite band, of laws that were not to fail."""
     fails = ControllerDecision.FAILS.value
-    off = sorted(one.off for one in comparisons if one.decision != fails and math.isfinite(one.off))
-    if len(off) < MIN_COMPARISONS:
-        return 1.0, len(off)
-    rank = min(math.ceil(CONFIDENCE * (len(off) + 1)), len(off))
-    return max(off[rank - 1], 1.0), len(off)
+    distances = sorted(
+        comparison.off
+        for comparison in comparisons
+        if comparison.decision != fails and math.isfinite(comparison.off)
+    )
+    if len(distances) < MIN_COMPARISONS:
+        return 1.0, len(distances)
+    rank = min(math.ceil(CONFIDENCE * (len(distances) + 1)), len(distances))
+    return max(distances[rank - 1], 1.0), len(distances)
 
 
 def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> ControllerAnswer:

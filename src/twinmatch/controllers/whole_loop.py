@@ -137,8 +137,8 @@ def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
     for value in eigenvalues[eigenvalues.imag > 0]:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)
-    every = np.unique(np.concatenate(grid))
-    return np.asarray(every[(every >= 0) & (every <= np.pi)], dtype=np.float64)
+    all_frequencies = np.unique(np.concatenate(grid))
+    return np.asarray(all_frequencies[(all_frequencies >= 0) & (all_frequencies <= np.pi)], dtype=np.float64)
 
 
 def _margins(
@@ -148,14 +148,16 @@ def _margins(
     which the opened one's has size 1."""
     real = [closed(w) for w in _crossings(grid, values.imag, lambda w: closed(w).imag)]
     ends = complex(values[0].real), complex(values[-1].real)
-    gains = [1.0 + 1.0 / at.real for at in (*real, *ends) if at.real != 0.0]
+    gains = [1.0 + 1.0 / response.real for response in (*real, *ends) if response.real != 0.0]
 
-    def size(at: Any) -> Any:
-        return np.abs(at) - np.abs(1.0 + at)
+    def size(response: Any) -> Any:
+        return np.abs(response) - np.abs(1.0 + response)
 
     crossed = _crossings(grid, size(values), lambda w: float(size(closed(w))))
-    found = [(w, closed(w)) for w in crossed]
-    delays = [(float(np.angle(at / (1.0 + at))) % (2 * np.pi)) / w for w, at in found]
+    crossed_responses = [(w, closed(w)) for w in crossed]
+    delays = [
+        (float(np.angle(response / (1.0 + response))) % (2 * np.pi)) / w for w, response in crossed_responses
+    ]
     return ChannelMargins(
         max((k for k in gains if LEAST_GAIN < k < 1.0), default=0.0),
         min((k for k in gains if k > 1.0), default=math.inf),

@@ -36,8 +36,8 @@ def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows
     column = 0
     for p in range(spans.shape[0]):
         for i in range(spans[p, COUNT]):
-            at = start - spans[p, DELAY] - i
-            source = signals[spans[p, SIGNAL], at : at + count]
+            first = start - spans[p, DELAY] - i
+            source = signals[spans[p, SIGNAL], first : first + count]
             target = rows[:count, column]
             for t in range(count):
                 target[t] = source[t]
@@ -110,8 +110,8 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
         c = signals[spans[third, SIGNAL], low - spans[third, DELAY] :]
         for q in range(groups):
             for i in range(0, spans[q, COUNT], 4):
-                at = low - spans[q, DELAY] - i - 3
-                products(a[:count], b, c, signals[spans[q, SIGNAL], at:], sums)
+                first_place = low - spans[q, DELAY] - i - 3
+                products(a[:count], b, c, signals[spans[q, SIGNAL], first_place:], sums)
                 column = corners[q] + i
                 for j in range(min(4, spans[q, COUNT] - i)):
                     leads[p, column + j] = sums[3 - j]
@@ -236,11 +236,11 @@ def take_from_rows(rows: FloatArray, count: int, k: int, work: FloatArray) -> No
         a2 = r2[k]
         a3 = r3[k]
         for j in range(k + 1, work.size):
-            by = work[j]
-            r0[j] -= a0 * by
-            r1[j] -= a1 * by
-            r2[j] -= a2 * by
-            r3[j] -= a3 * by
+            weight = work[j]
+            r0[j] -= a0 * weight
+            r1[j] -= a1 * weight
+            r2[j] -= a2 * weight
+            r3[j] -= a3 * weight
     for t in range(count // 4 * 4, count):
         for j in range(k + 1, work.size):
             rows[t, j] -= rows[t, k] * work[j]

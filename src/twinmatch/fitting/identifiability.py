@@ -58,27 +58,27 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     The next window would hold this one's last regime and the one after the step. For each step it is
     simulated with the fitted twin, and its information JᵀJ is compared with that of this window.
     """
-    now = _scaled_inverse(problem, fisher)
-    if now is None or problem.law is None or len(problem.base.model.plant.outputs) > 1:
+    present_inverse = _scaled_inverse(problem, fisher)
+    if present_inverse is None or problem.law is None or len(problem.base.model.plant.outputs) > 1:
         return ""
     scaling = np.outer(problem.scales, problem.scales)
     direction = np.linalg.eigh(fisher * scaling)[1][:, 0]
-    here = float(problem.window.reference[-1])
+    present = float(problem.window.reference[-1])
     place = problem.names.index(name)
     output = problem.base.model.plant.output
     levels = np.linspace(*(output.set_points or output.span), _LEVELS)
     least = _MIN_STEP * (levels[1] - levels[0])
     gains: list[tuple[float, float, float]] = []
-    for level in sorted(levels.tolist(), key=lambda level: abs(level - here)):
-        after = _after_step(problem, values, level) if abs(level - here) >= least else None
+    for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
+        after = _after_step(problem, values, level) if abs(level - present) >= least else None
         if after is not None:
-            better = float(np.sqrt(direction @ now @ direction / (direction @ after @ direction)))
-            gains.append((level, better, float(np.sqrt(now[place, place] / after[place, place]))))
+            better = float(np.sqrt(direction @ present_inverse @ direction / (direction @ after @ direction)))
+            gains.append((level, better, float(np.sqrt(present_inverse[place, place] / after[place, place]))))
     best = max((better for _, better, _ in gains), default=0.0)
     for level, better, of_name in gains:
         if better >= _NEARLY * best and of_name >= _WORTH:
             times = f"{of_name:.0f}" if of_name >= 2.5 else f"{of_name:.1f}"
-            way = f"{here:g} to {level:.4g} {output.unit}"
+            way = f"{present:g} to {level:.4g} {output.unit}"
             return f"a step from {way} would determine {name} about {times} times better"
     return ""
 
@@ -89,16 +89,16 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     noise = problem.base.model.plant.output.noise
     steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _MOVED * noise)
     first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
-    kept = window.part(window.first + first, window.last)
+    last_part = window.part(window.first + first, window.last)
     ahead = Window(
         np.full(_AFTER, level),
-        np.full(_AFTER, kept.output[-1]),
+        np.full(_AFTER, last_part.output[-1]),
         np.zeros(_AFTER),
-        first=kept.last + 1,
-        period=kept.period,
-        disturbances=np.repeat(kept.disturbances[-1:], _AFTER, axis=0),
+        first=last_part.last + 1,
+        period=last_part.period,
+        disturbances=np.repeat(last_part.disturbances[-1:], _AFTER, axis=0),
     )
-    next_one = replace(problem, window=kept.joined(ahead))
+    next_one = replace(problem, window=last_part.joined(ahead))
     response = next_one.experiment.simulate(values)
     if not abs(response.output[-1] - level) <= _REACHED * noise:
         return None
@@ -133,8 +133,8 @@ class Identified:
 
 def unidentified(problem: Problem, found: Estimate) -> Identified:
     """The result for an estimate that does not explain the window: its parameters mean nothing."""
-    known = uncertainty(problem, found)
-    return Identified(found, known, known, intervals=np.full((len(problem.names), 2), np.nan))
+    of_all = uncertainty(problem, found)
+    return Identified(found, of_all, of_all, intervals=np.full((len(problem.names), 2), np.nan))
 
 
 def identify(
@@ -146,32 +146,32 @@ def identify(
     determined parameter is kept at its previous value, unless a parameter ended on a bound other than zero:
     such a fit is refused anyway.
     """
-    known = uncertainty(problem, found)
-    intervals = profile_intervals(problem, found.values, known.covariance)
+    of_all = uncertainty(problem, found)
+    intervals = profile_intervals(problem, found.values, of_all.covariance)
     widths = _widths(problem, intervals)
     believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
     final = found
-    kept = ""
-    if not stands(known, found.values):
-        kept = _to_keep(problem, found.values, widths)
-    if kept:
-        interval = intervals[problem.names.index(kept)]
-        before = standing.get(kept, problem.base[kept])
-        final = _keep(problem, found, kept, interval, before)
-        known = uncertainty(problem, final)
-    places = [i for i, name in enumerate(problem.names) if name != kept]
+    fixed = ""
+    if not stands(of_all, found.values):
+        fixed = _to_keep(problem, found.values, widths)
+    if fixed:
+        interval = intervals[problem.names.index(fixed)]
+        before = standing.get(fixed, problem.base[fixed])
+        final = _keep(problem, found, fixed, interval, before)
+        of_all = uncertainty(problem, final)
+    places = [i for i, name in enumerate(problem.names) if name != fixed]
     suggestion = ""
     if len(believed) < len(problem.names):
         least = problem.names[int(np.argmax(widths))]
-        suggestion = suggest_step(problem, final.values, known.fisher, least)
+        suggestion = suggest_step(problem, final.values, of_all.fisher, least)
     return Identified(
         estimate=final,
-        known=known,
-        others=known.given(places),
-        kept=kept,
+        known=of_all,
+        others=of_all.given(places),
+        kept=fixed,
         intervals=intervals,
         believed=believed,
-        determined=_sentence_on(problem, final.values, known.covariance, intervals, believed),
+        determined=_sentence_on(problem, final.values, of_all.covariance, intervals, believed),
         suggestion=suggestion,
     )
 
@@ -202,13 +202,13 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
     place = problem.names.index(name)
     low, high = np.clip(interval, *problem.unknowns[place].bounds)
     value = float(np.clip(standing, low, high))
-    others = replace(
+    reduced = replace(
         problem,
         free=tuple(n for n in problem.free if n != name),
         base=problem.experiment.parameters_at(found.values).replace(**{name: value}),
     )
-    rest = solve(others, [np.delete(found.values, place), *starts_for(others, others.base)])
-    return Estimate(problem, np.insert(rest.values, place, value), rest.converged)
+    refit = solve(reduced, [np.delete(found.values, place), *starts_for(reduced, reduced.base)])
+    return Estimate(problem, np.insert(refit.values, place, value), refit.converged)
 
 
 def _sentence_on(
@@ -221,15 +221,21 @@ def _sentence_on(
     """A sentence on the parameters or combination that the window determines, and those left open (95 %)."""
     if not np.isfinite(covariance).all():
         return "some combination of the free parameters does not show in this window at all"
-    known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
-    left = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed]
+    determined = [
+        f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed
+    ]
+    undetermined = [
+        f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed
+    ]
     text = (
-        f"the window determines {_word_list(known)}" if known else "the window determines no parameter alone"
+        f"the window determines {_word_list(determined)}"
+        if determined
+        else "the window determines no parameter alone"
     )
     ratio = _best_ratio(problem, values, covariance)
     if ratio:
         text += f"; best known is the ratio {ratio}"
-    return f"{text}; left open: {_word_list(left)}" if left else text
+    return f"{text}; left open: {_word_list(undetermined)}" if undetermined else text
 
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:

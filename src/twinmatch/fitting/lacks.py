@@ -163,19 +163,19 @@ def lack_of(
         fit: fits a plant from a start; the parameters and what is left; None if it does not converge.
     """
     best = None
-    each = math.log(max(independent, 2.0))
+    price = math.log(max(independent, 2.0))
     least = independent * math.log(max(left, 1.0)) / 2 - _SURE
     for grown in () if base.model.is_external else _plants_with_effects(base.model, period):
-        found = fit(grown.model.parameters(**base))
-        if found is None or found[1] > (1.0 - _EXPLAINED) * left:
+        fitted = fit(grown.model.parameters(**base))
+        if fitted is None or fitted[1] > (1.0 - _EXPLAINED) * left:
             continue
         added = grown.model.structure.n_parameters() - base.model.structure.n_parameters()
-        charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
+        charge = (independent * math.log(max(fitted[1], 1.0)) + added * price) / 2
         if charge < least:
-            said = _said(found[0], grown.model.structure.free[len(base.model.structure.free)])
+            size_words = _said(fitted[0], grown.model.structure.free[len(base.model.structure.free)])
             least = charge
-            what = f"{grown.effect.title} of about {said}"
-            best = Lack(what, 1.0 - found[1] / left, _lines(base.model, grown))
+            title = f"{grown.effect.title} of about {size_words}"
+            best = Lack(title, 1.0 - fitted[1] / left, _lines(base.model, grown))
     return best
 
 
@@ -204,9 +204,9 @@ def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, A
     def at(declared: State | Drive | Output, **more: Any) -> dict[str, Any]:
         low, high = declared.limits if isinstance(declared, Drive) else declared.span
         numbers = times | {"steep": 10 * (high - low) / slow, "soft": 1e-3 * (high - low)}
-        own = {"at": declared.name, "unit": declared.unit, "span": (low, high)}
+        place = {"at": declared.name, "unit": declared.unit, "span": (low, high)}
         rounded = {name: float(f"{value:.3g}") for name, value in numbers.items()}
-        return {**rounded, **own, "rate_unit": f"{declared.unit or 1}/s", **more}
+        return {**rounded, **place, "rate_unit": f"{declared.unit or 1}/s", **more}
 
     late = any(isinstance(part, DeadTime) for part in vars(plant).values())
     for drive in plant.drives.values():
@@ -244,13 +244,13 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     structure = model.structure
     declared: dict[str, Any] = {}
     exec(effect.declared, dict(_NAMES), declared)  # noqa: S102 — lines of this module
-    if taken := declared.keys() & vars(plant).keys():
-        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken)} already")
+    if taken_names := declared.keys() & vars(plant).keys():
+        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken_names)} already")
 
     def equations(self: Any, parts: frozenset[str]) -> Any:
-        held = plant.equations(self, parts)
-        held = replace(held, rates=dict(held.rates), start=dict(held.start))
-        local = {**_NAMES, "self": self, "held": held}
+        extended = plant.equations(self, parts)
+        extended = replace(extended, rates=dict(extended.rates), start=dict(extended.start))
+        local = {**_NAMES, "self": self, "held": extended}
         exec(effect.equations, local)  # noqa: S102 — lines of this module
         return local["held"]
 
@@ -265,8 +265,10 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     )
     body = declared | {"equations": equations, "structures": {model.structure_name: richer}, "followed": ""}
     body |= {"__module__": __name__, "__qualname__": f"{plant.__qualname__} {effect}"}
-    made: Any = types.new_class(plant.__name__, (plant,), {"name": plant.name}, lambda own: own.update(body))
-    return made.model()  # type: ignore[no-any-return]
+    plant_class: Any = types.new_class(
+        plant.__name__, (plant,), {"name": plant.name}, lambda own: own.update(body)
+    )
+    return plant_class.model()  # type: ignore[no-any-return]
 
 
 def _said(found: Parameters, name: str) -> str:
@@ -274,7 +276,7 @@ def _said(found: Parameters, name: str) -> str:
     unit = found.model.declared[name].unit
     if unit == "s":
         longer = ((86400, "d"), (3600, "h"), (60, "min"), (0, "s"))
-        size, unit = next(one for one in longer if value >= 2 * one[0])
+        size, unit = next(row for row in longer if value >= 2 * row[0])
         value /= size or 1
     return f"{float(f'{value:.2g}'):g} {unit}".rstrip()
 

@@ -111,12 +111,14 @@ class StructureFit:
 
         NaN for the inputs of a driven twin.
         """
-        seen = np.concatenate(self.seen)
-        measured = np.hstack(self.measured)[:, seen]
-        simulated = np.hstack(self.simulated)[:, seen]
+        is_received = np.concatenate(self.seen)
+        measured = np.hstack(self.measured)[:, is_received]
+        simulated = np.hstack(self.simulated)[:, is_received]
         spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
-        left = np.linalg.norm(measured - simulated, axis=1)
-        figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
+        residual_norms = np.linalg.norm(measured - simulated, axis=1)
+        figures = [
+            1.0 - a / b if b > 0 else float("nan") for a, b in zip(residual_norms, spread, strict=True)
+        ]
         outputs = len(self.model.plant.outputs)
         return float(np.min(figures[:outputs])), float(np.min(figures[outputs:] or [np.nan]))
 
@@ -152,16 +154,16 @@ def fit_structure(
         FittingError: no window, one that is too short, or windows of different periods.
     """
     informed = informed or bool(prior)
-    given = {**_typical(model), **(prior or {})} if informed else {}
-    known = known_of(given, max(len(windows), 1))
-    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, known))
+    expectations = {**_typical(model), **(prior or {})} if informed else {}
+    knowledge = known_of(expectations, max(len(windows), 1))
+    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, knowledge))
     plant = model.typical() if informed else model.parameters()
-    plant = plant.replace(**{name: each.mean for name, each in given.items()})
+    plant = plant.replace(**{name: expectation.mean for name, expectation in expectations.items()})
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
-        others = () if informed else model.structure.starts  # with the prior there is no second valley
-        firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
+        other_starts = () if informed else model.structure.starts  # with the prior there is no second valley
+        firsts = [problem.values_of(plant.replace(**changes)) for changes in ({}, *other_starts)]
         looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
         values = min(looks, key=lambda look: look.cost).values
     best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
@@ -234,10 +236,10 @@ def held_back_costs(
         response = run.simulate(run_values)
         signals = len(noise.all) if run.closed else len(fitted.model.plant.outputs)
         both = np.concatenate([response.outputs.T, response.inputs.T])[:signals]
-        off = (run.measured[:signals] - both)[:, end - SKIPPED :] / noise.all[:signals, None]
-        costs = np.sum(2.0 * (np.sqrt(1.0 + off**2) - 1.0), axis=0)[run.window.marks[end:]] / signals
-        each = np.array_split(costs, max(round(costs.size / LASTING), 1))
-        blocks += [part.mean() for part in each if part.size]
+        errors = (run.measured[:signals] - both)[:, end - SKIPPED :] / noise.all[:signals, None]
+        costs = np.sum(2.0 * (np.sqrt(1.0 + errors**2) - 1.0), axis=0)[run.window.marks[end:]] / signals
+        blocks_of_run = np.array_split(costs, max(round(costs.size / LASTING), 1))
+        blocks += [part.mean() for part in blocks_of_run if part.size]
     return np.array(blocks or [fitted.cost])
 
 
@@ -266,12 +268,12 @@ def observed_covariance(
 def _typical(model: Model) -> dict[str, Expectation]:
     """The plant file's typical values as prior."""
     typical = model.typical()
-    known = {}
+    expectations = {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
-        known[name] = Expectation(typical[name], spread or declared.scale)
-    return known
+        expectations[name] = Expectation(typical[name], spread or declared.scale)
+    return expectations
 
 
 def _runs(
@@ -286,14 +288,14 @@ def _runs(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
                 f"the first {SETTLE + SKIPPED} are not compared, give more"
             )
-        own = checked_law(model, window, law)
+        checked = checked_law(model, window, law)
         runs.append(
             Experiment(
                 model.parameters(),
                 model.structure.free,
                 window,
                 free_starts=model.structure.free_starts,
-                law=own,
+                law=checked,
                 weights=tuple(1.0 / noise.all),
                 robust=True,
                 settle=SETTLE,
@@ -320,9 +322,11 @@ class _Problem:
 
     def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
         """The values for given parameters, with initial states `starts` in each window, or as in the file."""
-        own = [run.values_of(parameters) for run in self.runs]
-        initial = [list(starts.values()) if starts else values[self._free :] for values in own]
-        values = np.clip(np.concatenate([own[0][: self._free], *initial]), self._lower, self._upper)
+        values_of_runs = [run.values_of(parameters) for run in self.runs]
+        initial = [list(starts.values()) if starts else values[self._free :] for values in values_of_runs]
+        values = np.clip(
+            np.concatenate([values_of_runs[0][: self._free], *initial]), self._lower, self._upper
+        )
         return np.asarray(values, dtype=np.float64)
 
     def _places(self, window: int) -> NDArray[np.int64]:
@@ -367,15 +371,15 @@ class _Problem:
             msg = f"structures: {self.runs[0].model.title} has no finite response at the best parameters"
             raise FittingError(msg)
         measured = tuple(run.measured[:signals, SETTLE:] for run in self.runs)
-        seen = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
+        is_received = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
         return StructureFit(
             parameters=self.runs[0].parameters_at(parts[0]),
             starts=tuple(run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)),
             measured=measured,
             simulated=tuple(simulated),
-            seen=seen,
+            seen=is_received,
             converged=best.converged,
-            cost=best.cost / (signals * sum(int(marks.sum()) for marks in seen)),
+            cost=best.cost / (signals * sum(int(marks.sum()) for marks in is_received)),
             states=tuple(states),
             covariance=self._covariance(best.hessian)[: self._free, : self._free],
             charge=self._charge(best),
@@ -383,19 +387,19 @@ class _Problem:
 
     def observed_covariance(self, fitted: StructureFit) -> FloatArray:
         """As the function of that name."""
-        own = [list(starts.values()) for starts in fitted.starts]
+        initial = [list(starts.values()) for starts in fitted.starts]
         values = self.values_of(fitted.parameters)
-        values[self._free :] = np.concatenate(own)
+        values[self._free :] = np.concatenate(initial)
         length = sum(run.measured.shape[1] - SETTLE for run in self.runs)
         size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
         scores = []
         slope = np.zeros((values.size, values.size))
         for window, run in enumerate(self.runs):
             places = self._places(window)
-            each, own_slope = run.scores(values[places])
-            slope[np.ix_(places, places)] += own_slope
-            each = each[SETTLE:]
-            parts = np.array_split(each, max(round(len(each) / size), 1))
+            scores_of_run, slope_of_run = run.scores(values[places])
+            slope[np.ix_(places, places)] += slope_of_run
+            settled = scores_of_run[SETTLE:]
+            parts = np.array_split(settled, max(round(len(settled) / size), 1))
             scores += [np.bincount(places, part.sum(axis=0), minlength=values.size) for part in parts]
         # In units of the scales; without the windows, a value was as uncertain as its scale.
         model = np.linalg.inv(slope * np.outer(self._scales, self._scales) + np.eye(values.size))

@@ -156,9 +156,9 @@ class Arx:
             self._learned = 0
         self._newest.append(sample)
         if sample.seen:
-            seen = self.visited or [(y, y) for y in sample.outputs]
+            visited = self.visited or [(y, y) for y in sample.outputs]
             self.visited = tuple(
-                (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
+                (min(low, y), max(high, y)) for (low, high), y in zip(visited, sample.outputs, strict=True)
             )
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
@@ -176,8 +176,8 @@ class Arx:
             coefficients = np.zeros((0, 0))
             order = 0
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
-        now = np.ascontiguousarray(past[: max(order, 1)])
-        return ArxForecast(coefficients, fit.level, now, spans, self._law, controller)
+        newest_rows = np.ascontiguousarray(past[: max(order, 1)])
+        return ArxForecast(coefficients, fit.level, newest_rows, spans, self._law, controller)
 
     def _fit_now(self) -> _Fit:
         """The fit with the new samples.
@@ -186,31 +186,31 @@ class Arx:
         factor is updated change its last bits.
         """
         new = _rows_of(self._newest)
-        seen = np.array([sample.seen for sample in self._newest])
+        is_received = np.array([sample.seen for sample in self._newest])
         first = max(self._learned, MAX_ORDER)
         fit = self._fit
         if first >= len(new):
             return fit
         o = len(self.visited)
         size = new.shape[1]
-        level = fit.level if fit.level.size else new[int(np.argmax(seen))]
+        level = fit.level if fit.level.size else new[int(np.argmax(is_received))]
         # Of sample k all of k − MAX_ORDER … k have to be seen.
-        lost = np.concatenate([[0], np.cumsum(~seen)])
-        kept = np.arange(first, len(new))
-        kept = kept[lost[kept + 1] == lost[kept - MAX_ORDER]]
-        if not kept.size:
+        lost = np.concatenate([[0], np.cumsum(~is_received)])
+        places = np.arange(first, len(new))
+        places = places[lost[places + 1] == lost[places - MAX_ORDER]]
+        if not places.size:
             return fit._replace(level=level)
         relative = new - level
-        lags = [relative[kept - lag] for lag in range(1, MAX_ORDER + 1)]
-        rows = np.hstack([np.ones((kept.size, 1)), *lags, new[kept, :o] - new[kept - 1, :o]])
-        forgotten = self._kept ** np.arange(kept.size - 1, -1, -1)
+        lags = [relative[places - lag] for lag in range(1, MAX_ORDER + 1)]
+        rows = np.hstack([np.ones((places.size, 1)), *lags, new[places, :o] - new[places - 1, :o]])
+        forgotten = self._kept ** np.arange(places.size - 1, -1, -1)
         factor = fit.factor if fit.rows else np.zeros((1 + MAX_ORDER * size + o,) * 2)
-        held = self._kept ** (kept.size / 2) * factor
+        earlier = self._kept ** (places.size / 2) * factor
         weighted = np.sqrt(forgotten)[:, None] * rows
         return _Fit(
-            np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r")),
-            fit.rows + kept.size,
-            self._kept**kept.size * fit.weight + float(forgotten.sum()),
+            np.asarray(np.linalg.qr(np.vstack([earlier, weighted]), mode="r")),
+            fit.rows + places.size,
+            self._kept**places.size * fit.weight + float(forgotten.sum()),
             level,
         )
 
@@ -221,12 +221,12 @@ class Arx:
         sizes = sizes[sizes * _MIN_ROWS <= fit.weight + 1e-9]
         if not sizes.size:
             return np.zeros((0, 0))
-        left = fit.factor[:, -o:]
-        squares = np.cumsum((left[:, :, None] * left[:, None, :])[::-1], axis=0)[::-1]
+        targets = fit.factor[:, -o:]
+        squares = np.cumsum((targets[:, :, None] * targets[:, None, :])[::-1], axis=0)[::-1]
         size = int(sizes[np.argmin(_aicc(squares[sizes] / fit.weight, sizes, fit.weight))])
         columns = fit.factor[:size, :size]
         scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-        coefficients = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
+        coefficients = np.linalg.lstsq(columns / scale, targets[:size], rcond=_RANK)[0] / scale[:, None]
         return np.ascontiguousarray(coefficients.T)
 
 

@@ -101,15 +101,15 @@ class StateFilter:
 
     def follow(self, samples: Sequence[Sample]) -> None:
         """Take several samples, the next ones in sequence, each as `push` does."""
-        left = list(samples)
-        while left:
+        pending = list(samples)
+        while pending:
             if self._observer is None or self.parameters.model.is_external:
-                self.push(left.pop(0))
+                self.push(pending.pop(0))
                 continue
-            [taken] = _move_on(ObserverBank([self._observer]), self._inputs, left)
-            self._inputs = left[taken - 1].inputs if taken else self._inputs
-            del left[:taken]
-            if left:
+            [count] = _move_on(ObserverBank([self._observer]), self._inputs, pending)
+            self._inputs = pending[count - 1].inputs if count else self._inputs
+            del pending[:count]
+            if pending:
                 self.restart()
 
     def restart(self) -> None:
@@ -124,11 +124,11 @@ class StateFilter:
     @property
     def joint(self) -> FloatArray:
         """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
-        own = self._started.covariance
+        state_covariance = self._started.covariance
         m = len(self.free)
-        n = len(own)
+        n = len(state_covariance)
         joint = np.zeros((n + m, n + m))
-        joint[:n, :n], joint[n:, n:] = own, self.covariance
+        joint[:n, :n], joint[n:, n:] = state_covariance, self.covariance
         return joint
 
     @property
@@ -177,23 +177,23 @@ class Followers:
             PlantError: as `StateFilter.push`, for a filter without a sample yet.
         """
         following = []
-        for each in filters:
-            if each._observer is None:
-                each.follow(samples)
+        for state_filter in filters:
+            if state_filter._observer is None:
+                state_filter.follow(samples)
             else:
-                following.append(each)
+                following.append(state_filter)
         if not (following and samples):
             return
-        observers = [each._started for each in following]
+        observers = [state_filter._started for state_filter in following]
         if observers != self._observers or self._bank is None:
             self._observers = observers
             self._bank = ObserverBank(observers)
         numbers = _move_on(self._bank, following[0]._inputs, samples)
-        for each, taken in zip(following, numbers, strict=True):
-            each._inputs = samples[-1].inputs
-            if taken < len(samples):
-                each.restart()
-                each.follow(samples[taken:])
+        for state_filter, count in zip(following, numbers, strict=True):
+            state_filter._inputs = samples[-1].inputs
+            if count < len(samples):
+                state_filter.restart()
+                state_filter.follow(samples[count:])
 
 
 def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
@@ -272,8 +272,8 @@ class Outlook:
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
         foresight = foresight_of([(self.parameters, self.unsure)], self.law, self.period)
-        now = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
-        return foresight.ahead(now, ahead, disturbances, banded=banded)
+        loop_state = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
+        return foresight.ahead(loop_state, ahead, disturbances, banded=banded)
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,) or (N, r), from the
@@ -284,8 +284,8 @@ class Outlook:
         """
         values = np.array(ahead, dtype=np.float64)
         if values.ndim not in (1, 2) or not values.size or not np.isfinite(values).all():
-            what = "set-points" if self.closed else "inputs"
-            msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
+            signals = "set-points" if self.closed else "inputs"
+            msg = f"forecast: the {signals} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
         predicted = self.predicted(values, disturbances)
         size = len(values)
@@ -300,7 +300,10 @@ class Outlook:
             confidence=CONFIDENCE,
             time=np.arange(1, size + 1, dtype=np.float64) * self.period,
             references=values if self.closed else np.full((size, many), np.nan),
-            outputs=tuple(Band(mean, mean - by, mean + by) for mean, by in zip(y, half, strict=False)),
+            outputs=tuple(
+                Band(mean, mean - half_width, mean + half_width)
+                for mean, half_width in zip(y, half, strict=False)
+            ),
             inputs=self._input_bands(u, half[many:]),
             notes=self.notes + self._assumptions(values, disturbances) + self._notes_on_range(y),
         )
@@ -313,8 +316,8 @@ class Outlook:
             stays = bool((ahead.reshape(len(ahead), -1) == self.sample.inputs).all())
             drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
             level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
-            what = f"a constant input of {level}" if stays else "the given inputs"
-            notes.append(f"the loop is not known: the forecast is for {what}")
+            inputs_ahead = f"a constant input of {level}" if stays else "the given inputs"
+            notes.append(f"the loop is not known: the forecast is for {inputs_ahead}")
         if self.sample.disturbances and disturbances is None:
             names = " and ".join(d.text or d.name for d in plant.disturbances.values())
             notes.append(f"the forecast assumes that the measured disturbances ({names}) stay constant")
@@ -347,11 +350,11 @@ class Outlook:
             reach = float(values.min()), float(values.max())
             if visited[0] - room <= reach[0] and reach[1] <= visited[1] + room:
                 continue
-            of = f" of {y.name}" if len(declared) > 1 else ""
+            of_output = f" of {y.name}" if len(declared) > 1 else ""
             span = f"{visited[0]:.4g} to {visited[1]:.4g} {y.unit}"
             went = f"{reach[0]:.4g} to {reach[1]:.4g} {y.unit}"
             notes.append(
-                f"the forecast{of} covers {went}, but only {span} was visited: "
+                f"the forecast{of_output} covers {went}, but only {span} was visited: "
                 "beyond that the band may not hold"
             )
         return tuple(notes)

@@ -111,12 +111,14 @@ class Calibration:
         size = quotients.shape[1]
         due = [k for k, lead in enumerate(self.leads) if before < lead <= size]
         came = quotients[:, [self.leads[k] - 1 for k in due]]
-        kept = [k for k, lost in enumerate(np.isnan(came[0]).tolist()) if not lost]
-        if kept:
-            of = [due[k] for k in kept]
-            self._inside[:, of] = self._kept * self._inside[:, of] + (came[:, kept] <= widths[:, of])
-            self._asked[of] = self._kept * self._asked[of] + 1.0
-            self.add(of, came[:, kept])
+        columns = [k for k, lost in enumerate(np.isnan(came[0]).tolist()) if not lost]
+        if columns:
+            learned = [due[k] for k in columns]
+            self._inside[:, learned] = self._kept * self._inside[:, learned] + (
+                came[:, columns] <= widths[:, learned]
+            )
+            self._asked[learned] = self._kept * self._asked[learned] + 1.0
+            self.add(learned, came[:, columns])
 
     def coverage(self, before: int, last: int, signal: int | None = None) -> tuple[float, float]:
         """Share of the readings that the bands have held at leads after `before` up to `last`, of one
@@ -188,10 +190,10 @@ class Calibration:
         order = np.argsort(quotients, axis=0, kind="stable")
         # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
         # since it shares less with those before than they do with each other.
-        more = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
-        share = np.cumsum(weights[order], axis=0) / (weights.sum() + more)
-        at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
-        return np.asarray(quotients[order[at, self._signals], self._signals])
+        extra_weight = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
+        share = np.cumsum(weights[order], axis=0) / (weights.sum() + extra_weight)
+        ranks = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
+        return np.asarray(quotients[order[ranks, self._signals], self._signals])
 
 
 _PRIOR_WEIGHT: Final = 3.0
@@ -256,7 +258,7 @@ class Ledger:
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
         if predecessor in self._rows:
-            self._set([*((each, each) for each in self._rows), (name, predecessor)])
+            self._set([*((candidate, candidate) for candidate in self._rows), (name, predecessor)])
 
     def add(self, names: Sequence[str], errors: FloatArray, baselines: FloatArray, horizon: int) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample.
@@ -312,9 +314,9 @@ class Ledger:
             ratios = ratios[:, signal]
             squares = squares[count + signal :: self.noise.size]
         errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
-        known = account[:, _WEIGHT] >= _COMPARED
-        skill, high = (1.0 - np.exp(each) for each in (ratios, ratios - _ONE_SIDED * errors))
-        return np.where(known, skill, np.nan), np.where(known, high, np.nan)
+        has_enough = account[:, _WEIGHT] >= _COMPARED
+        skill, high = (1.0 - np.exp(logarithm) for logarithm in (ratios, ratios - _ONE_SIDED * errors))
+        return np.where(has_enough, skill, np.nan), np.where(has_enough, high, np.nan)
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""

@@ -171,7 +171,7 @@ def _range_of(signal: Output | Drive | None) -> tuple[float, float, str]:
         return (*signal.limits, signal.unit)
     sense = signal.set_points or signal.span
     low, high = (
-        safe if math.isfinite(safe) else other for safe, other in zip(signal.safe, sense, strict=True)
+        safe if math.isfinite(safe) else useful for safe, useful in zip(signal.safe, sense, strict=True)
     )
     return low, high, signal.unit
 

@@ -91,11 +91,11 @@ def largest_input(forecast: Forecast) -> Peak:
     """The largest |u|."""
     band = forecast.input
     sizes = np.abs(band.mean)
-    at = int(np.argmax(sizes))
+    place = int(np.argmax(sizes))
     edges = np.stack([np.abs(band.low), np.abs(band.high)])
     # If the band contains zero, u may be zero.
     least = np.where((band.low <= 0.0) & (band.high >= 0.0), 0.0, edges.min(axis=0))
-    return Peak(float(sizes[at]), float(forecast.time[at]), float(least.max()), float(edges.max()))
+    return Peak(float(sizes[place]), float(forecast.time[place]), float(least.max()), float(edges.max()))
 
 
 def _check(forecast: Forecast, level: float, tolerance: float) -> None:

@@ -176,11 +176,11 @@ class MemoryReport(NamedTuple):
         least = 2 * MIN_SIDE
         if count < least:
             return f"what changes shows from {least} sessions on, and only {count} can be compared"
-        told = "; ".join(change.sentence for change in self.changes)
-        told = told or f"between these {count} sessions nothing has changed by more than they vary"
+        words = "; ".join(change.sentence for change in self.changes)
+        words = words or f"between these {count} sessions nothing has changed by more than they vary"
         if not self.restless:
-            return told
-        return f"{told}; another one in every session: the {' and the '.join(self.restless)}"
+            return words
+        return f"{words}; another one in every session: the {' and the '.join(self.restless)}"
 
 
 def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
@@ -188,30 +188,32 @@ def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
     newest = in_order(lessons)[-MAX_SESSIONS:]
     if len(newest) < 2 * MIN_SIDE:
         return MemoryReport(newest, histories_of(newest, model) if newest else [], [], [])
-    every = histories_of(newest, model)
+    histories = histories_of(newest, model)
     when, dated = _times(newest)
     names = [lesson.name for lesson in newest]
-    found: list[ParameterChange] = []
-    for history in every:  # parameters first, then combinations of those that are not named by themselves
-        if not any(set(history.parts) & {change.name} for change in found):
-            found += _changes(history, when, names, dated, len(every))
-    named = {change.name for change in found}
-    restless = [h.words for h in every if len(h.parts) == 1 and h.name not in named and _spread(h) > _TIGHTER]
-    return MemoryReport(newest, every, found, restless)
+    changes: list[ParameterChange] = []
+    for history in histories:  # parameters first, then combinations of those that are not named by themselves
+        if not any(set(history.parts) & {change.name} for change in changes):
+            changes += _changes(history, when, names, dated, len(histories))
+    named = {change.name for change in changes}
+    restless = [
+        h.words for h in histories if len(h.parts) == 1 and h.name not in named and _spread(h) > _TIGHTER
+    ]
+    return MemoryReport(newest, histories, changes, restless)
 
 
 def shared_structure(lessons: Sequence[Lesson]) -> str:
     """The structure in which sessions are compared: the one that led in most of them, of equals the one with
     lessons from most; empty without lessons."""
-    count = Counter(one.structure for one in lessons)
-    led = Counter(one.structure for one in lessons if one.led)
+    count = Counter(lesson.structure for lesson in lessons)
+    led = Counter(lesson.structure for lesson in lessons if lesson.led)
     return max(count, key=lambda name: (led[name], count[name]), default="")
 
 
 def histories_of(lessons: Sequence[Lesson], model: Model) -> list[ParameterHistory]:
     """Free parameters over these sessions, and ratios and products that are known better than their parts."""
-    values = np.array([one.values for one in lessons])
-    covariances = np.array([one.covariance for one in lessons])
+    values = np.array([lesson.values for lesson in lessons])
+    covariances = np.array([lesson.covariance for lesson in lessons])
     declared = [model.declared[name] for name in lessons[0].free]
     by_logs = [p.relative and bool((values[:, k] > 0).all()) for k, p in enumerate(declared)]
     units = np.where(by_logs, values, [p.scale for p in declared])
@@ -281,13 +283,15 @@ def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
     # Surroundings, whose zero is arbitrary, are expected to be others every session; properties are not.
     prior = np.zeros(_SPREADS.size) if history.scale else -2.0 * np.log1p(_SPREADS)
     prior -= np.log(np.exp(prior).sum())
-    each = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
-    logs = np.array([fitted.evidence for fitted in each]) + prior[:, None]
+    fits = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
+    logs = np.array([fitted.evidence for fitted in fits]) + prior[:, None]
     best = logs.argmax(axis=0)
     most = logs.max(axis=0)
     evidence = most + np.log(np.exp(logs - most).sum(axis=0))
-    rest = (np.array(rows)[best, np.arange(len(shapes))] for rows in zip(*(f[1:] for f in each), strict=True))
-    return _Fitted(evidence, *rest)
+    estimates = (
+        np.array(rows)[best, np.arange(len(shapes))] for rows in zip(*(f[1:] for f in fits), strict=True)
+    )
+    return _Fitted(evidence, *estimates)
 
 
 def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted:
@@ -339,7 +343,7 @@ def _changes(
     is_step = not trends or of_steps.max() >= evidence[-1] - _RARER
     # From the latest credible moment on the change is complete.
     place = int(np.flatnonzero(of_steps >= of_steps.max() - _CLOSE)[-1]) if is_step else len(steps)
-    level, size, error = (float(of[place + 1]) for of in fitted[1:])
+    level, size, error = (float(numbers[place + 1]) for numbers in fitted[1:])
     old = history.value(level)
     new = history.value(level + size)
     k = steps[place] if is_step else 0

@@ -46,16 +46,16 @@ class SessionEvidence:
     @property
     def fault_at(self) -> int | None:
         """First sample of the first fault that was reported."""
-        found = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
-        return min(found, default=None)
+        fault_starts = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
+        return min(fault_starts, default=None)
 
     @property
     def healthy(self) -> list[Window]:
         """The stretches before the first fault, without those that are too short."""
         end = self.fault_at
-        whole = [w for w in self.stretches if end is None or w.first < end]
-        kept = [w if end is None or w.last < end else w.part(w.first, end - 1) for w in whole]
-        return [w for w in kept if int(w.marks.sum()) >= MIN_SAMPLES]
+        begun = [w for w in self.stretches if end is None or w.first < end]
+        before_fault = [w if end is None or w.last < end else w.part(w.first, end - 1) for w in begun]
+        return [w for w in before_fault if int(w.marks.sum()) >= MIN_SAMPLES]
 
     @property
     def before_fault(self) -> list[Verdict]:
@@ -82,8 +82,8 @@ def lessons_of(judged: SessionEvidence) -> list[Lesson]:
     windows = judged.healthy
     if not windows:
         return []
-    found = (_lesson(judged, windows, model) for model in _worth_keeping(judged))
-    return [lesson for lesson in found if lesson is not None]
+    lessons = (_lesson(judged, windows, model) for model in _worth_keeping(judged))
+    return [lesson for lesson in lessons if lesson is not None]
 
 
 def _worth_keeping(judged: SessionEvidence) -> list[Model]:

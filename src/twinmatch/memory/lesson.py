@@ -74,10 +74,10 @@ class Lesson:
     def __post_init__(self) -> None:
         n = len(self.free)
         values = [v for row in self.covariance for v in row]
-        held = [*values, *self.parameters.values(), *(end for span in self.outputs for end in span)]
+        numbers = [*values, *self.parameters.values(), *(end for span in self.outputs for end in span)]
         if len(values) != n * n or not n or not self.parameters.keys() >= {*self.free}:
             self._refuse(f"{n} free parameters and {len(values)} covariances do not belong together")
-        if not all(map(math.isfinite, held)):
+        if not all(map(math.isfinite, numbers)):
             self._refuse("a value is not finite")
         if not self.outputs or min(values[:: n + 1]) < 0.0:
             self._refuse("it has no outputs, or a negative variance")
@@ -99,10 +99,12 @@ class Lesson:
 
 def current_lessons(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Lesson]:
     """Those on structures that the plant still has, with the same equations and free parameters."""
-    held = [one for one in lessons if one.plant == plant.name and one.structure in plant.structures]
-    models = {name: plant.model(name) for name in {one.structure for one in held}}
+    on_plant = [
+        lesson for lesson in lessons if lesson.plant == plant.name and lesson.structure in plant.structures
+    ]
+    models = {name: plant.model(name) for name in {lesson.structure for lesson in on_plant}}
     keys = {name: (model.equations, model.structure.free) for name, model in models.items()}
-    return [one for one in held if (one.equations, one.free) == keys[one.structure]]
+    return [lesson for lesson in on_plant if (lesson.equations, lesson.free) == keys[lesson.structure]]
 
 
 def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:

@@ -124,8 +124,8 @@ class Memory:
         """Number of lessons on a rig (None: on all) that are older than those that `lessons` reads."""
         with self._opened() as database:
             query = "SELECT count(*) FROM lesson WHERE rig = ifnull(?, rig)"
-            (held,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
-        return max(0, held - MOST)
+            (count,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
+        return max(0, count - MOST)
 
     def add_comparison(self, found: LawComparison) -> bool:
         """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
@@ -144,13 +144,13 @@ class Memory:
             if database is None or not _keeps_record(database):
                 return []
             rows = database.execute(query, [plant, rig]).fetchall()
-        held = [
+        comparisons = [
             dict(zip(_COMPARED, [math.nan if v is None else v for v in row], strict=True)) for row in rows
         ]
         place = f"memory {self.path}"
         return [
             decoded(row | {"stable": bool(row["stable"])}, LawComparison, place, MemoryFaultError)
-            for row in held
+            for row in comparisons
         ]
 
     def forget(self, sessions: Collection[str]) -> list[str]:
@@ -162,8 +162,8 @@ class Memory:
                 return []
             names: set[str] = set()
             for table in ("lesson", "comparison"):
-                found = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
-                names.update(name for (name,) in found)
+                rows = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
+                names.update(name for (name,) in rows)
                 database.execute(f"DELETE FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
             return sorted(names)
 
@@ -233,7 +233,7 @@ def _row_of(lesson: Lesson) -> list[Any]:
 def _plain(value: Any) -> Any:
     """For JSON: NaN becomes null."""
     if isinstance(value, tuple):
-        return [_plain(one) for one in value]
+        return [_plain(element) for element in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -213,10 +213,10 @@ class CandidatePool:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        with ThreadPoolExecutor(1) as other:  # both are compiled code, which releases the GIL
-            now = other.submit(self.structures.plant_now)
+        with ThreadPoolExecutor(1) as executor:  # both are compiled code, which releases the GIL
+            plant_fit = executor.submit(self.structures.plant_now)
             model = self._model(window)
-        self._newest = _NewestWindow(window, model, now.result())
+        self._newest = _NewestWindow(window, model, plant_fit.result())
         self.scores = self._score_all(self._newest)
 
     def score_leader(self) -> None:
@@ -257,16 +257,19 @@ class CandidatePool:
 
         Structures beside the family (the paper's) have no Box–Jenkins models.
         """
-        window, plant, now = newest
+        window, plant, plant_now = newest
         family = [self._members[c.name] for c in self._family.candidates]
         candidates = [*self._family.candidates, *beside]
         points = self._points(window)
         loop = self._loop
         count = len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
-        to_now = [None if now is None else plant_gap(c.parameters, now, points, loop) for c in candidates]
+        to_now = [
+            None if plant_now is None else plant_gap(c.parameters, plant_now, points, loop)
+            for c in candidates
+        ]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
-        bare = [_bare_score(*of) for of in zip(candidates, distances, to_now, strict=True)]
+        bare = [_bare_score(*arguments) for arguments in zip(candidates, distances, to_now, strict=True)]
         scores = tuple(
             replace(
                 bare[k],
@@ -281,10 +284,10 @@ class CandidatePool:
         if plant is not None:
             scores, identified = self._with_models(scores, family, window, plant)
         nominal = nominal_of(scores)
-        every = (*scores, *bare[count:])
+        all_scores = (*scores, *bare[count:])
         twins = candidates[:count]
         certainty = judge_uncertainty(
-            every, twins, gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
+            all_scores, twins, gaps.of(count), nominal, loop, plant=plant_now, seed=self._settings.seed
         )
         return FamilyScores(
             candidates=certainty.candidates,
@@ -323,8 +326,8 @@ class CandidatePool:
         if self._settings.law is None:
             settled = newest.outputs[-self._settings.schedule.min_span :].T
             levels = np.array([[y.mean() for y in settled]])
-        seen = np.vstack([levels, *(self._reached or ())])
-        self._reached = seen.min(axis=0), seen.max(axis=0)
+        all_levels = np.vstack([levels, *(self._reached or ())])
+        self._reached = all_levels.min(axis=0), all_levels.max(axis=0)
         points = {*map(point_of, self._reached), *(c.operating_point for c in self._family.candidates)}
         return tuple(sorted(points, key=point_values))
 

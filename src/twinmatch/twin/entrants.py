@@ -38,7 +38,7 @@ class Entrants(dict[str, Entrant]):
     @cached_property
     def external(self) -> tuple[str, ...]:
         """Names of those whose equations run elsewhere."""
-        return tuple(n for n, each in self.items() if each.candidate.parameters.model.is_external)
+        return tuple(name for name, entrant in self.items() if entrant.candidate.parameters.model.is_external)
 
     @cached_property
     def native(self) -> tuple[str, ...]:

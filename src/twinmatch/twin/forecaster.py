@@ -187,7 +187,7 @@ class Forecaster:
         """Have the twins, and the controller's state, take the samples that are waiting."""
         if not self._waiting:
             return
-        samples, given = map(list, zip(*self._waiting, strict=True))
+        samples, stand_ins = map(list, zip(*self._waiting, strict=True))
         self._waiting = []
         came = np.array([(*s.references, *s.outputs, *s.inputs, *s.disturbances, s.seen) for s in samples])
         if not finite(came):
@@ -197,7 +197,7 @@ class Forecaster:
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
             references, _, inputs, _ = self._columns
-            for row, y in zip(came, np.array(given), strict=True):
+            for row, y in zip(came, np.array(stand_ins), strict=True):
                 self._controller = self._law.follow(self._controller, row[references], y, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
@@ -212,17 +212,17 @@ class Forecaster:
         outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
         names = self._twins.native
         foresight = None
-        now = None
+        loop_state = None
         if names:
             filters = [self._twins[name].state_filter for name in names]
             foresight = self._twins.foresight(self._law, self.period)
             states = [f.states for f in filters]
             covariances = [f.joint for f in filters]
-            now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
+            loop_state = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
         skipped = self._recent[-1].index // self._stride % _OTHERS_EVERY
         learning = (leader,) if skipped else self._twins
         widths = {name: self._twins[name].calibration.widths for name in learning}
-        return _Departure(leader, outlooks, names, foresight, now, self.arx, widths)
+        return _Departure(leader, outlooks, names, foresight, loop_state, self.arx, widths)
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -276,8 +276,8 @@ class Forecaster:
             ForecastError: there is no candidate yet, or none of that name.
         """
         self._catch_up()
-        known = self._twins if self._recent else {}
-        return self._outlook(_check_name(self.leader if name is None else name, known))
+        twins = self._twins if self._recent else {}
+        return self._outlook(_check_name(self.leader if name is None else name, twins))
 
     def _outlook(self, name: str) -> Outlook:
         twin = self._twins[name]
@@ -315,17 +315,17 @@ class Forecaster:
         if not self._recent or self.leader is None:
             return None
         newest = self._recent[-1].index
-        made = [sample for sample in self._departures if sample <= newest - samples]
-        if not made and len(self._recent) <= samples:
-            made = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
-            samples = newest - max(made, default=newest)
-        if not made:
+        departures = [sample for sample in self._departures if sample <= newest - samples]
+        if not departures and len(self._recent) <= samples:
+            departures = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
+            samples = newest - max(departures, default=newest)
+        if not departures:
             return None
         self._catch_up()
-        departure = self._departures[made[-1]]
+        departure = self._departures[departures[-1]]
         _, outputs, inputs, _ = self._columns
         outlook = departure.outlooks[departure.leader]
-        came = self._rows[made[-1] - newest - 1 :]
+        came = self._rows[departures[-1] - newest - 1 :]
         try:
             forecast = outlook.forecast(*self._conditions(came))
         except PlantError:
@@ -347,15 +347,15 @@ class Forecaster:
         except PlantError:
             if not self._twins[name].candidate.parameters.model.is_external:
                 raise
-            self._set({other: twin for other, twin in self._twins.items() if other != name})
+            self._set({twin_name: twin for twin_name, twin in self._twins.items() if twin_name != name})
 
     def _conditions(self, came: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
         not known) after it, shape (N, r), and disturbances from it on, shape (N + 1, d), if there are any."""
         references, _, inputs, disturbances = self._columns
-        given = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
-        rows = np.ascontiguousarray(came[:, disturbances])
-        return given, rows if rows.size else None
+        ahead = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
+        disturbance_rows = np.ascontiguousarray(came[:, disturbances])
+        return ahead, disturbance_rows if disturbance_rows.size else None
 
     def _begin(self) -> None:
         """Start over, also after a gap; what was learned stays."""
@@ -403,10 +403,10 @@ class Forecaster:
         came = self._rows[-ahead - 1 :]
         signals = ledger.noise.size
         before = max((h for h in self.horizons if h < ahead), default=0)
-        seen = came[1:, -1] > 0.0
-        if not seen[before:].any():
+        is_received = came[1:, -1] > 0.0
+        if not is_received[before:].any():
             return
-        given, rows = self._conditions(came)
+        conditions, disturbances = self._conditions(came)
         first = self._columns[1].start
         measured = np.ascontiguousarray(came[:, first : first + signals].T)
         measured = measured[:, 1:]
@@ -414,30 +414,32 @@ class Forecaster:
         forecasts: dict[str, tuple[FloatArray, FloatArray]] = {}
         if departure.foresight is not None and departure.now is not None:
             wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
-            told = departure.foresight.each(departure.now, wanted, given, rows)
+            figures = departure.foresight.each(departure.now, wanted, conditions, disturbances)
             forecasts = {
-                n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use
+                n: (m, v) for n, m, v, use in zip(departure.names, *figures, wanted, strict=True) if use
             }
         for name in self._twins.external:
             if name in departure.outlooks:
                 with self._removing_lost(name):
-                    predicted = departure.outlooks[name].predicted(given, rows, banded=name in banded)
+                    predicted = departure.outlooks[name].predicted(
+                        conditions, disturbances, banded=name in banded
+                    )
                     forecasts[name] = predicted.means, predicted.variances
         means = np.array([means[:signals] for means, _ in forecasts.values()])
-        off = measured - means.reshape(-1, signals, ahead)
-        for error, (name, (_, variances)) in zip(off, forecasts.items(), strict=True):
+        errors = measured - means.reshape(-1, signals, ahead)
+        for error, (name, (_, variances)) in zip(errors, forecasts.items(), strict=True):
             if name in banded:
                 twin = self._twins[name]
                 quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
-                quotients[:, ~seen] = np.nan
+                quotients[:, ~is_received] = np.nan
                 twin.calibration.learn(quotients, before, departure.widths[name])
-        kept = np.flatnonzero(seen)
-        new = kept[kept >= before]
-        baselines = measured - departure.arx.referees(given, rows)[:, :signals]
-        ledger.add(tuple(forecasts), off[:, :, new], baselines[:, :, new], place)
+        received_places = np.flatnonzero(is_received)
+        new = received_places[received_places >= before]
+        baselines = measured - departure.arx.referees(conditions, disturbances)[:, :signals]
+        ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], place)
         self.standings = Standings(self._twins, ledger, self.horizons)
         if ahead == self._longest and departure.leader in forecasts:
-            paths = rms(rms(off[:, :, kept], ledger.noise[:, None]))
+            paths = rms(rms(errors[:, :, received_places], ledger.noise[:, None]))
             leading = paths[list(forecasts).index(departure.leader)]
             self._leader_confidence.add(float(leading), float(paths.min()))
 

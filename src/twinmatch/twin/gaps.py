@@ -52,8 +52,8 @@ class GapFiller:
     def _interpolate(self, before: Sample, after: Sample) -> list[Sample]:
         """Stand-ins for the samples between two, oldest first; none if too many or a clock set back."""
         steps = after.index - before.index
-        alike = after.stamp > before.stamp and before.shape == after.shape
-        if not (alike and 1 < steps <= self._longest + 1):
+        is_continued = after.stamp > before.stamp and before.shape == after.shape
+        if not (is_continued and 1 < steps <= self._longest + 1):
             return []
         ends = list(zip(before.outputs, after.outputs, strict=True))
         return [
@@ -61,7 +61,7 @@ class GapFiller:
                 before,
                 index=before.index + k,
                 stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
-                outputs=tuple(y + (then - y) * k / steps for y, then in ends),
+                outputs=tuple(y + (y_after - y) * k / steps for y, y_after in ends),
                 seen=False,
             )
             for k in range(1, steps)
@@ -80,13 +80,13 @@ def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sa
     nearest = np.inf
     for references, outputs in _courses(past[-1], [*lost, after]):
         inputs, _ = commands_of(law.code, state, references, outputs)
-        off = float(np.linalg.norm(inputs[-1] - after.inputs))
-        if off <= nearest:
-            nearest = off
+        distance = float(np.linalg.norm(inputs[-1] - after.inputs))
+        if distance <= nearest:
+            nearest = distance
             of_all = (references.tolist(), outputs.tolist(), inputs.tolist())
             stand_ins = [
-                replace(one, references=tuple(r), outputs=tuple(y), inputs=tuple(u))
-                for one, r, y, u in zip(lost, *of_all, strict=False)
+                replace(stand_in, references=tuple(r), outputs=tuple(y), inputs=tuple(u))
+                for stand_in, r, y, u in zip(lost, *of_all, strict=False)
             ]
     return stand_ins
 
@@ -99,15 +99,15 @@ def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatAr
     old = np.array(before.references)
     new = np.array(behind[-1].references)
     outputs = np.array([s.outputs for s in behind])
-    passed = np.arange(1.0, len(behind) + 1)
+    steps = np.arange(1.0, len(behind) + 1)
     last = len(behind)
-    yield old + (new - old) * (passed / last)[:, None], outputs
+    yield old + (new - old) * (steps / last)[:, None], outputs
     if np.array_equal(old, new):
         return
     for first in range(1, last):
-        share = np.clip((passed - first) / (last - first), 0.0, 1.0)[:, None]
+        share = np.clip((steps - first) / (last - first), 0.0, 1.0)[:, None]
         yield (
-            np.where(passed[:, None] >= first, new, old),
+            np.where(steps[:, None] >= first, new, old),
             before.outputs + share * (outputs[-1] - before.outputs),
         )
-    yield np.where(passed[:, None] >= last, new, old), outputs
+    yield np.where(steps[:, None] >= last, new, old), outputs

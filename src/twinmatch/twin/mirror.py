@@ -134,8 +134,8 @@ class Mirror:
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
         *lost, sample = self._door.take(sample)
-        for one in lost:
-            self._push(one)
+        for earlier in lost:
+            self._push(earlier)
         return self._push(sample)
 
     def _push(self, sample: Sample) -> MirrorState:
@@ -181,9 +181,9 @@ class Mirror:
 
     def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest as estimated."""
-        kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
-        here = zip(new.model.states, estimated.tolist(), strict=True)
-        return np.array([kept.get(name, there) for name, there in here])
+        present = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
+        estimates = zip(new.model.states, estimated.tolist(), strict=True)
+        return np.array([present.get(name, value) for name, value in estimates])
 
     def _estimate_states(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""
@@ -249,11 +249,13 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
         parameters, window.inputs[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
     plant = parameters.model.plant
-    off = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
+    output_residuals = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
     if law is None:
-        return Residuals(off, float("nan"))
+        return Residuals(output_residuals, float("nan"))
     closed = simulate_window(parameters, window, law=law)
-    return Residuals(off, _worst(window.received(window.inputs[SKIPPED:] - closed.inputs), plant.drives))
+    return Residuals(
+        output_residuals, _worst(window.received(window.inputs[SKIPPED:] - closed.inputs), plant.drives)
+    )
 
 
 def _worst(left: FloatArray, signals: Mapping[str, Output | Drive]) -> float:
@@ -285,8 +287,10 @@ def window_fits(parameters: Parameters, window: Window, law: Law | None) -> Fits
     twin's outputs."""
     twin = response_on(parameters, window, law)
     outputs, inputs = (
-        tuple(nrmse(*map(window.received, pair)) for pair in zip(of[SKIPPED:].T, simulated.T, strict=True))
-        for of, simulated in ((window.outputs, twin.outputs), (window.inputs, twin.inputs))
+        tuple(
+            nrmse(*map(window.received, pair)) for pair in zip(measured[SKIPPED:].T, simulated.T, strict=True)
+        )
+        for measured, simulated in ((window.outputs, twin.outputs), (window.inputs, twin.inputs))
     )
     return Fits(outputs, inputs if law else (float("nan"),) * len(inputs))
 

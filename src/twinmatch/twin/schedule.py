@@ -77,11 +77,11 @@ class ScheduleSettings:
         pace = plant_scale(plant, period) / period
         factor = max(pace, min(3.0 * pace, 1.0)) * scale
         counts = {}
-        for one in fields(cls):
-            if one.metadata["unit"] == "samples":
-                low = one.metadata["low"]
-                high = one.metadata["high"]
-                counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
+        for declared in fields(cls):
+            if declared.metadata["unit"] == "samples":
+                low = declared.metadata["low"]
+                high = declared.metadata["high"]
+                counts[declared.name] = min(max(round(getattr(cls, declared.name) * factor), low), high)
         return cls(scale, min_step=next(iter(plant.outputs.values())).least_step, **counts)
 
     def __post_init__(self) -> None:

@@ -68,14 +68,14 @@ def check_band(
     miss_u, inside_u = _worst(of_inputs)
     band = forecast.outputs[0]
     size = outputs.shape[1]
-    known = np.ones(size, dtype=np.bool_) if counted is None else counted
-    held = known & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
-    came = outputs[0, held if held.any() else known]
+    is_counted = np.ones(size, dtype=np.bool_) if counted is None else counted
+    is_inside = is_counted & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
+    came = outputs[0, is_inside if is_inside.any() else is_counted]
     low = float(came.min())
     high = float(came.max())
     last = float(came[-1])
-    each = (*of_outputs, *of_inputs)
-    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last, each)
+    figures = (*of_outputs, *of_inputs)
+    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last, figures)
 
 
 def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -138,13 +138,13 @@ class BandHistory:
 
 def merged(spans: Sequence[tuple[float, float]], near: float = 0.0) -> list[tuple[float, float]]:
     """Join ranges that overlap or lie within `near` of each other; lowest first."""
-    found: list[tuple[float, float]] = []
+    joined: list[tuple[float, float]] = []
     for low, high in sorted(spans):
-        if found and low <= found[-1][1] + near:
-            found[-1] = found[-1][0], max(found[-1][1], high)
+        if joined and low <= joined[-1][1] + near:
+            joined[-1] = joined[-1][0], max(joined[-1][1], high)
         else:
-            found.append((low, high))
-    return found
+            joined.append((low, high))
+    return joined
 
 
 class LeaderConfidence:
