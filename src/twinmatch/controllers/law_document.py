@@ -66,11 +66,10 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
         raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
     about = _read(_About, document)
     _check_about(about, plant)
-    entries = {
-        key: value.tolist() if isinstance(value, np.ndarray) else value
-        for key, value in document.items()
-        if key not in _ABOUT
-    }
+    entries = {}
+    for key, value in document.items():
+        if key not in _ABOUT:
+            entries[key] = value.tolist() if isinstance(value, np.ndarray) else value
     law = makers[kind](entries, plant, period if about.period is None else about.period)
     return suited(law, plant, period)
 
@@ -114,19 +113,17 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
     entries = {key: value for key, value in document.items() if key not in _ABOUT}
     loops = []
     for pid in _pids(entries, plant):
-        plain = FilteredPid.of(
-            gains := PidGains(
-                pid.proportional,
-                pid.integral,
-                pid.derivative,
-                pid.back_calculation,
-                pid.low,
-                pid.high,
-                period,
-                on_measurement=pid.derivative_weight == 0.0,
-            )
+        gains = PidGains(
+            pid.proportional,
+            pid.integral,
+            pid.derivative,
+            pid.back_calculation,
+            pid.low,
+            pid.high,
+            period,
+            on_measurement=pid.derivative_weight == 0.0,
         )
-        if plain != pid:
+        if FilteredPid.of(gains) != pid:
             raise ControllerError("has a filter, weights or an offset; the controller of a rig has none")
         loops.append(gains)
     return tuple(loops)
@@ -162,20 +159,26 @@ def _arrays(kind: type[msgspec.Struct], given: Mapping[str, Any]) -> dict[str, F
     """The matrices and vectors of a document, without those that it leaves out."""
     arrays = {}
     for key, value in given_keys(_read(kind, given)).items():
-        vector = key in _VECTORS
-        try:
-            array = np.array(value, dtype=np.float64)
-        except ValueError:
-            array = np.zeros(())
-        if not array.ndim or (array.ndim != 2 and not vector):
-            shape_word = "a list" if vector else "a matrix"
-            raise ControllerError(f"{key}: is not {shape_word} of numbers with rows of one length; give one")
+        array = _array(key, value)
         if key not in ("low", "high") and not (np.abs(array) <= GREATEST).all():  # true for NaN, too
             raise ControllerError(
                 f"{key}: has a number that is not finite, or above {GREATEST:g} in size; give others"
             )
-        arrays[key] = array.ravel() if vector else array
+        arrays[key] = array
     return arrays
+
+
+def _array(key: str, value: Any) -> FloatArray:
+    """The matrix or, under some keys, the vector of a document."""
+    is_vector = key in _VECTORS
+    try:
+        array = np.array(value, dtype=np.float64)
+    except ValueError:
+        array = np.zeros(())
+    if not array.ndim or (array.ndim != 2 and not is_vector):
+        shape_word = "a list" if is_vector else "a matrix"
+        raise ControllerError(f"{key}: is not {shape_word} of numbers with rows of one length; give one")
+    return array.ravel() if is_vector else array
 
 
 def _limits(plant: type[Plant], number: int) -> FloatArray:
@@ -218,8 +221,15 @@ def _state_space(given: Mapping[str, Any], plant: type[Plant], period: float) ->
     m, q = arrays["C"].shape
     r = arrays["E"].shape[1]
     low, high = _limits(plant, m)
-    usual = {"F": np.zeros((q, r)), "G": np.zeros((q, m)), "offset": np.zeros(m), "shift": np.zeros(q)}
-    return LinearLaw(**({**usual, "low": low, "high": high} | arrays), period=period)
+    left_out = {
+        "F": np.zeros((q, r)),
+        "G": np.zeros((q, m)),
+        "offset": np.zeros(m),
+        "shift": np.zeros(q),
+        "low": low,
+        "high": high,
+    }
+    return LinearLaw(**(left_out | arrays), period=period)
 
 
 def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
@@ -238,7 +248,8 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
         n_disturbances = Bd.shape[1]
         m = B.shape[1]
         cost_to_go = solve_discrete_are(A, B, C.T @ matrices["Qs"] @ C, matrices["Rs"])
-        gain: FloatArray = np.linalg.solve(matrices["Rs"] + B.T @ cost_to_go @ B, B.T @ cost_to_go @ A)
+        weights = matrices["Rs"] + B.T @ cost_to_go @ B
+        gain = np.asarray(np.linalg.solve(weights, B.T @ cost_to_go @ A), dtype=np.float64)
         aim = _aim(matrices, gain)
         aim_of_disturbances = aim[:, :n_disturbances]
         aim_of_set_points = aim[:, n_disturbances:]

@@ -107,12 +107,14 @@ def retune(
         )
     tuning = _Tuning(gains, tuple(_cases(twins, gains, level, holding, aim)), aim, max_sensitivity)
     start = np.zeros(len(tuning.names))
-    x = tuning.search(math.log(most_change))
-    before, after = (float(tuning.sensitivities(factors).max()) for factors in (start, x))
-    improvement = 1.0 - math.exp(tuning.criterion(x) - tuning.criterion(start))
+    best = tuning.search(math.log(most_change))
+    before = float(tuning.sensitivities(start).max())
+    after = float(tuning.sensitivities(best).max())
+    improvement = 1.0 - math.exp(tuning.criterion(best) - tuning.criterion(start))
     ceiling = max_sensitivity * (1 + TOLERANCE)
-    worse = aim == "quiet" and tuning.cost(x)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
-    if after > max(ceiling, before) or (before <= ceiling and (improvement < MIN_GAIN or worse)):
+    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
+    gains_nothing = improvement < MIN_GAIN or is_worse
+    if after > max(ceiling, before) or (before <= ceiling and gains_nothing):
         why = f"there is nothing to gain within M_s ≤ {max_sensitivity:g} and a factor of {most_change:g}"
         return Retuned(gains, gains, aim, 0.0, (before, before), why)
     if before > ceiling:
@@ -120,7 +122,7 @@ def retune(
     else:
         number = len(tuning.cases)
         why = f"{_WORDS[aim]} is {100 * improvement:.0f} % smaller in the mean over {number} twins"
-    return Retuned(gains, tuning.law(x), aim, improvement, (before, after), why)
+    return Retuned(gains, tuning.law(best), aim, improvement, (before, after), why)
 
 
 _WORDS: Final = {
@@ -163,17 +165,19 @@ class _Tuning:
     def sensitivities(self, x: FloatArray) -> FloatArray:
         """M_s of every twin, the largest over its operating points."""
         linear = as_linear(self.law(x))
-        loops = [[WholeLoop(plant, linear) for plant in case.plants] for case in self.cases]
-        return np.array(
-            [min(max(loop.sensitivity() for loop in loops_of_twin), MAX_COUNTED) for loops_of_twin in loops]
-        )
+        largest = []
+        for case in self.cases:
+            of_plants = [WholeLoop(plant, linear).sensitivity() for plant in case.plants]
+            largest.append(min(max(of_plants), MAX_COUNTED))
+        return np.array(largest)
 
     def cost(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Mean squared error in the mean over the twins, and its derivatives."""
         gains = self._first * np.exp(x)
         costs = [case.cost(gains) for case in self.cases]
+        error = float(np.mean([value for value, _ in costs]))
         slopes = np.mean([slope for _, slope in costs], axis=0)
-        return float(np.mean([value for value, _ in costs])), np.asarray(slopes * gains, dtype=np.float64)
+        return error, np.asarray(slopes * gains, dtype=np.float64)
 
     def criterion(self, x: FloatArray) -> float:
         """Logarithm of what is made small."""
@@ -243,9 +247,11 @@ def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim:
     inputs = np.full(size, u)
     if aim == "tracking":
         low, high = model.plant.output.set_points or model.plant.output.span
-        reference[SKIPPED:] += STEP * (high - low) * (1.0 if y < (low + high) / 2 else -1.0)
+        direction = 1.0 if y < (low + high) / 2 else -1.0
+        reference[SKIPPED:] += STEP * (high - low) * direction
     else:
-        load = LOAD * (model.plant.drive.limits[1] - model.plant.drive.limits[0])
+        low, high = model.plant.drive.limits
+        load = LOAD * (high - low)
         inputs -= load if u - load > gains.low else -load
     rows = np.tile(row, (size, 1))
     window = Window(reference, np.full(size, y), inputs, period=gains.period, disturbances=rows)

@@ -146,24 +146,35 @@ def _margins(
 ) -> ChannelMargins:
     """From the frequencies at which the closed loop's response is real, both ends among them, and those at
     which the opened one's has size 1."""
-    real = [closed(w) for w in _crossings(grid, values.imag, lambda w: closed(w).imag)]
-    ends = complex(values[0].real), complex(values[-1].real)
-    gains = [1.0 + 1.0 / response.real for response in (*real, *ends) if response.real != 0.0]
+    gains = _critical_gains(closed, grid, values)
+    return ChannelMargins(
+        gain_down=max((gain for gain in gains if LEAST_GAIN < gain < 1.0), default=0.0),
+        gain_up=min((gain for gain in gains if gain > 1.0), default=math.inf),
+        delay=min(_critical_delays(closed, grid, values), default=math.inf) * period,
+        sensitivity=_sensitivity(closed, grid, values),
+    )
 
-    def size(response: Any) -> Any:
+
+def _critical_gains(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+    """Factors k = 1 + 1/L on the gain with which an eigenvalue is on the unit circle."""
+    crossings = _crossings(grid, values.imag, lambda w: closed(w).imag)
+    real_parts = [closed(w).real for w in crossings]
+    real_parts += [float(values[0].real), float(values[-1].real)]
+    return [1.0 + 1.0 / real for real in real_parts if real != 0.0]
+
+
+def _critical_delays(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+    """Dead times, in samples, with which an eigenvalue is on the unit circle: T = L/(1 + L) has size 1."""
+
+    def excess(response: Any) -> Any:
         return np.abs(response) - np.abs(1.0 + response)
 
-    crossed = _crossings(grid, size(values), lambda w: float(size(closed(w))))
-    crossed_responses = [(w, closed(w)) for w in crossed]
-    delays = [
-        (float(np.angle(response / (1.0 + response))) % (2 * np.pi)) / w for w, response in crossed_responses
-    ]
-    return ChannelMargins(
-        max((k for k in gains if LEAST_GAIN < k < 1.0), default=0.0),
-        min((k for k in gains if k > 1.0), default=math.inf),
-        min(delays, default=math.inf) * period,
-        _sensitivity(closed, grid, values),
-    )
+    delays = []
+    for w in _crossings(grid, excess(values), lambda w: float(excess(closed(w)))):
+        response = closed(w)
+        lag = float(np.angle(response / (1.0 + response))) % (2 * np.pi)
+        delays.append(lag / w)
+    return delays
 
 
 def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], float]) -> list[float]:
@@ -174,9 +185,12 @@ def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], fl
 
 
 def _sensitivity(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> float:
-    k = int(np.argmax(np.abs(1.0 + values)))
-    ends = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
-    near = minimize_scalar(
-        lambda w: -abs(1.0 + closed(w)), bounds=ends, method="bounded", options={"xatol": 1e-9}
+    """The largest |1 + L|: the largest on the grid, or the top of the peak around it."""
+    sizes = np.abs(1.0 + values)
+    k = int(np.argmax(sizes))
+    low = grid[max(k - 1, 0)]
+    high = grid[min(k + 1, grid.size - 1)]
+    top = minimize_scalar(
+        lambda w: -abs(1.0 + closed(w)), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
     )
-    return max(-float(near.fun), float(np.abs(1.0 + values[k])))
+    return max(-float(top.fun), float(sizes[k]))
