@@ -276,7 +276,12 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
 def _put(  # noqa: PLR0917 (values in a row)
     row: FloatArray, a: float, b: float, fa: float, fb: float, da: float, db: float
 ) -> None:
-    row[0], row[1], row[2], row[3], row[4], row[5] = a, b, fa, fb, da, db
+    row[0] = a
+    row[1] = b
+    row[2] = fa
+    row[3] = fb
+    row[4] = da
+    row[5] = db
 
 
 @compiled

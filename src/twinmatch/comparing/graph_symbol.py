@@ -175,14 +175,13 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
     """Column [d; N] over the product of the distinct denominators."""
     denominators: list[FloatArray] = []
     places = []
-    for _, d in pairs:
-        match = next(
-            (i for i, denominator in enumerate(denominators) if np.array_equal(d, denominator)), None
-        )
-        places.append(len(denominators) if match is None else match)
-        if match is None:
-            denominators.append(d)
-    polynomials = exact([*denominators, *(n for n, _ in pairs)])
+    for _, own_denominator in pairs:
+        place = _place_of(own_denominator, denominators)
+        if place is None:
+            place = len(denominators)
+            denominators.append(own_denominator)
+        places.append(place)
+    polynomials = exact([*denominators, *(numerator for numerator, _ in pairs)])
     below = polynomials[: len(denominators)]
     above = polynomials[len(denominators) :]
     for k, denominator in enumerate(below):
@@ -192,9 +191,16 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
     column = [product(below)]
     for k, numerator in zip(places, above, strict=True):
         column.append(product([numerator, *below[:k], *below[k + 1 :]]))
-    width = max(len(p) for p in column)
-    column = trim_top([p + [0] * (width - len(p)) for p in column])
+    width = max(len(polynomial) for polynomial in column)
+    column = trim_top([polynomial + [0] * (width - len(polynomial)) for polynomial in column])
     return to_half_plane(column) if discrete else column
+
+
+def _place_of(wanted: FloatArray, denominators: Sequence[FloatArray]) -> int | None:
+    for place, denominator in enumerate(denominators):
+        if np.array_equal(wanted, denominator):
+            return place
+    return None
 
 
 def spectral_roots(column: Column) -> NDArray[np.complex128]:

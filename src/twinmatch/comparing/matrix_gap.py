@@ -124,13 +124,16 @@ def gaps_of(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Fl
 def _factor(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """R of R*R = I + P*P: modified Gram–Schmidt on the columns of [I; P], all frequencies at once."""
     m = response.shape[2]
-    columns = np.concatenate([np.broadcast_to(np.eye(m), (len(response), m, m)), response], axis=1)
+    identity = np.broadcast_to(np.eye(m), (len(response), m, m))
+    columns = np.concatenate([identity, response], axis=1)
     factor = np.zeros((len(response), m, m), dtype=np.complex128)
     for k in range(m):
-        factor[:, k, k] = np.sqrt(np.sum(np.abs(columns[:, :, k]) ** 2, axis=1))
-        unit = columns[:, :, k] / factor[:, k, k, None]
-        factor[:, k, k + 1 :] = (unit.conj()[:, None] @ columns[:, :, k + 1 :])[:, 0]
-        columns[:, :, k + 1 :] -= unit[:, :, None] * factor[:, k, None, k + 1 :]
+        column = columns[:, :, k]
+        later_columns = columns[:, :, k + 1 :]
+        factor[:, k, k] = np.sqrt(np.sum(np.abs(column) ** 2, axis=1))
+        unit = column / factor[:, k, k, None]
+        factor[:, k, k + 1 :] = (unit.conj()[:, None] @ later_columns)[:, 0]
+        later_columns -= unit[:, :, None] * factor[:, k, None, k + 1 :]
     return factor
 
 
@@ -142,45 +145,56 @@ def sizes_of(matrices: Matrix) -> FloatArray:
     rows = matrices if matrices.shape[1] == 2 else matrices.swapaxes(1, 2)
     first, second = np.sum(np.abs(rows) ** 2, axis=2).T
     across = np.abs(np.sum(rows[:, 0] * rows[:, 1].conj(), axis=1))
-    return np.asarray(np.sqrt(0.5 * (first + second + np.hypot(first - second, 2.0 * across))))
+    root = np.hypot(first - second, 2.0 * across)
+    return np.asarray(np.sqrt(0.5 * (first + second + root)))
 
 
 def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
     """The loop u = d − C·(y + n), from [d; n] to [y; u]; None if it is not well posed."""
-    (a, b, c, d), (ac, bc, cc, dc) = ((s.A, s.B, s.C, s.D) for s in (plant, controller))
-    p, m = d.shape
-    direct = np.eye(m) + dc @ d
+    p, m = plant.D.shape
+    direct = np.eye(m) + controller.D @ plant.D
     if np.linalg.cond(direct) > 1 / ON_AXIS**1.5:
         return None
-    n = len(a)
-    q = len(ac)
+    n = len(plant.A)
+    q = len(controller.A)
+    # Each signal as rows over the states of plant and controller, the disturbance d and the noise n.
     x, xc, disturbance, noise = np.split(np.eye(n + q + m + p), np.cumsum([n, q, m]))
-    u = np.linalg.solve(direct, disturbance - dc @ (c @ x + noise) - cc @ xc)
-    y = c @ x + d @ u
-    rows = np.concatenate([a @ x + b @ u, ac @ xc + bc @ (y + noise), y, u])
-    total = n + q
-    return StateSpace(rows[:total, :total], rows[:total, total:], rows[total:, :total], rows[total:, total:])
+    without_direct = disturbance - controller.D @ (plant.C @ x + noise) - controller.C @ xc
+    u = np.linalg.solve(direct, without_direct)
+    y = plant.C @ x + plant.D @ u
+    x_rate = plant.A @ x + plant.B @ u
+    xc_rate = controller.A @ xc + controller.B @ (y + noise)
+    rows = np.concatenate([x_rate, xc_rate, y, u])
+    states = slice(n + q)
+    signals = slice(n + q, None)
+    return StateSpace(
+        rows[states, states], rows[states, signals], rows[signals, states], rows[signals, signals]
+    )
 
 
-def _level_zeros(one: StateSpace, two: StateSpace, level: float) -> Matrix:
+def _level_zeros(first: StateSpace, second: StateSpace, level: float) -> Matrix:
     """Where a singular value of the gap equals `level`: on the axis, and elsewhere in the plane."""
-    back1 = one.adjoint
-    back2 = two.adjoint
-    p, m = one.D.shape
-    n1 = len(one.A)
-    n2 = len(two.A)
+    back1 = first.adjoint
+    back2 = second.adjoint
+    p, m = first.D.shape
+    n1 = len(first.A)
+    n2 = len(second.A)
     x1, z1, x2, z2, v, w = np.split(np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p]))
-    through1 = one.C @ x1 + one.D @ w
+    through1 = first.C @ x1 + first.D @ w
     into1 = through1 + v / level
     out2 = back2.C @ z2 + back2.D @ v
     into2 = out2 - w / level
-    rows = np.concatenate([
-        one.A @ x1 + one.B @ w, back1.A @ z1 + back1.B @ into1,
-        two.A @ x2 + two.B @ into2, back2.A @ z2 + back2.B @ v,
-        v + two.C @ x2 + two.D @ into2 + through1 / level,
+    rates = [
+        first.A @ x1 + first.B @ w,
+        back1.A @ z1 + back1.B @ into1,
+        second.A @ x2 + second.B @ into2,
+        back2.A @ z2 + back2.B @ v,
+    ]
+    equations = [
+        v + second.C @ x2 + second.D @ into2 + through1 / level,
         w + back1.C @ z1 + back1.D @ into1 - out2 / level,
-    ])  # fmt: skip
-    return _zeros(rows, 2 * (n1 + n2))
+    ]
+    return _zeros(np.concatenate(rates + equations), 2 * (n1 + n2))
 
 
 def _norm_zeros(system: StateSpace, level: float) -> Matrix:

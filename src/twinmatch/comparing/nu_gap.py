@@ -124,7 +124,8 @@ def turns(
                 low_node = high_node
                 waiting -= 1
             else:
-                nodes[waiting], values[waiting] = middle, c
+                nodes[waiting] = middle
+                values[waiting] = c
                 waiting += 1
     return total / math.pi
 
@@ -156,9 +157,15 @@ def _between(g1: GraphSymbol, g2: GraphSymbol) -> float:
     if g1.column == g2.column:
         return 0.0
     largest, half_turns = _compare(
-        g1.coefficients, g2.coefficients, g1.signed, g2.signed, g1.stack, g2.stack,
-        g1.spectral_roots, g2.spectral_roots,
-    )  # fmt: skip
+        g1.coefficients,
+        g2.coefficients,
+        g1.signed,
+        g2.signed,
+        g1.stack,
+        g2.stack,
+        g1.spectral_roots,
+        g2.spectral_roots,
+    )
     # passing through zero is a distance of 1, which rounding may have left slightly below
     return largest if abs(half_turns) < 0.5 and largest < ALMOST_ONE else 1.0
 

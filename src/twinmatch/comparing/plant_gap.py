@@ -150,10 +150,13 @@ def response_slopes(
 
 def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex128]:
     """Of each plant, shape (plants, frequencies)."""
-    A, B, C = (np.stack(matrices)[:, None] for matrices in list(zip(*plants, strict=True))[:3])
+    A = np.stack([plant.A for plant in plants])[:, None]
+    B = np.stack([plant.B for plant in plants])[:, None]
+    C = np.stack([plant.C for plant in plants])[:, None]
     poles = np.linalg.eigvals(A)
-    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=2) < _OFF / 10
-    z = np.exp(1j * np.where(singular, ANGLES + _OFF, ANGLES))
+    to_nearest_pole = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=2)
+    angles = np.where(to_nearest_pole < _OFF / 10, ANGLES + _OFF, ANGLES)
+    z = np.exp(1j * angles)
     resolvent = z[:, :, None, None] * np.eye(A.shape[-1]) - A
     states = np.linalg.solve(resolvent, np.broadcast_to(B, (*z.shape, *B.shape[2:])))
     return np.asarray(scales.ratio * (C @ states)[..., 0, 0], dtype=np.complex128)
@@ -161,9 +164,13 @@ def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex12
 
 def spans_of(plant: type[Plant]) -> Scales:
     """Half the span of the set-points and half the drive's range."""
-    outputs = [y.set_points or y.span for y in plant.outputs.values()]
-    inputs = [u.limits for u in plant.drives.values()]
-    return Scales(*(point_of([(high - low) / 2 for low, high in ranges]) for ranges in (outputs, inputs)))
+    outputs = [output.set_points or output.span for output in plant.outputs.values()]
+    inputs = [drive.limits for drive in plant.drives.values()]
+    return Scales(_half_ranges(outputs), _half_ranges(inputs))
+
+
+def _half_ranges(ranges: Sequence[tuple[float, float]]) -> OperatingPoint:
+    return point_of([(high - low) / 2 for low, high in ranges])
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +226,10 @@ def _gaps_between(symbols: Sequence[GraphSymbol | StateSpace]) -> FloatArray:
     return matrix
 
 
-def _gap(one: GraphSymbol | StateSpace, other: GraphSymbol | StateSpace) -> float:
-    if isinstance(one, StateSpace) and isinstance(other, StateSpace):
-        return matrix_nu_gap(one, other)
-    return nu_gap(one, other)
+def _gap(first: GraphSymbol | StateSpace, second: GraphSymbol | StateSpace) -> float:
+    if isinstance(first, StateSpace) and isinstance(second, StateSpace):
+        return matrix_nu_gap(first, second)
+    return nu_gap(first, second)
 
 
 def plant_gap(

@@ -120,11 +120,11 @@ def _claim_in(
     """The claim in given units, from responses on a grid of frequencies."""
     nominal, law, *members = half_plane(plant, controller, *family)
     loop = cast("StateSpace", closed_loop(nominal, law))  # well posed, since the margin is not 0
-    poles = np.concatenate([np.linalg.eigvals(s.A) for s in (nominal, *members)])
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in (nominal, *members)])
     frequencies = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
     p = plant.n_outputs
-    around = loop.response(frequencies)
-    origin = np.tile(nominal.response(frequencies), (len(members), 1, 1))
+    loop_responses = loop.response(frequencies)
+    nominal_responses = np.tile(nominal.response(frequencies), (len(members), 1, 1))
     member_responses = np.concatenate([member.response(frequencies) for member in members])
 
     def claim(units: FloatArray) -> float:
@@ -133,9 +133,9 @@ def _claim_in(
         ratio = (u / y[:, None]).astype(np.complex128)
         rows = np.concatenate([y, u])
         columns = np.concatenate([u, y])
-        size = sizes_of(around * (columns / rows[:, None])).max()
-        gap = float(gaps_of(origin * ratio, member_responses * ratio).max())
-        return _claim(min(1.0, 1 / float(size)), gap)
+        norm = float(sizes_of(loop_responses * (columns / rows[:, None])).max())
+        gap = float(gaps_of(nominal_responses * ratio, member_responses * ratio).max())
+        return _claim(min(1.0, 1 / norm), gap)
 
     return claim
 

@@ -82,7 +82,7 @@ def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
 
 def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
     """Numbers or texts in a sentence, at least one: 10, 60 and 300."""
-    *first, last = (format(entry, "" if isinstance(entry, str) else digits) for entry in listed)
+    *first, last = (entry if isinstance(entry, str) else format(entry, digits) for entry in listed)
     return f"{', '.join(first)} and {last}" if first else last
 
 
@@ -503,17 +503,18 @@ def _held_by(
     if centre is None:
         return ((None, None),) * len(twins)
     spans = spans_of(twins[0][0].model.plant)
-    y, u, *_ = best_scaling(
-        centre, [system for system in systems if system], controller, outputs=spans.output, inputs=spans.input
-    )
-    origin = centre.scaled(y, u)
-    scaled = controller.scaled(u, y)
-    return tuple(
-        (matrix_margin(system.scaled(y, u), scaled), matrix_nu_gap(origin, system.scaled(y, u)))
-        if system
-        else (None, None)
-        for system in systems
-    )
+    family = [system for system in systems if system is not None]
+    y, u, *_ = best_scaling(centre, family, controller, outputs=spans.output, inputs=spans.input)
+    scaled_centre = centre.scaled(y, u)
+    scaled_controller = controller.scaled(u, y)
+    figures: list[_Figures] = []
+    for system in systems:
+        if system is None:
+            figures.append((None, None))
+        else:
+            scaled = system.scaled(y, u)
+            figures.append((matrix_margin(scaled, scaled_controller), matrix_nu_gap(scaled_centre, scaled)))
+    return tuple(figures)
 
 
 def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:

@@ -147,9 +147,18 @@ def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: Fl
         c1 += by_c * x1
         c2 += by_c * x2
         c3 += by_c * x3
-    out[0], out[1], out[2], out[3] = a0, a1, a2, a3
-    out[4], out[5], out[6], out[7] = b0, b1, b2, b3
-    out[8], out[9], out[10], out[11] = c0, c1, c2, c3
+    out[0] = a0
+    out[1] = a1
+    out[2] = a2
+    out[3] = a3
+    out[4] = b0
+    out[5] = b1
+    out[6] = b2
+    out[7] = b3
+    out[8] = c0
+    out[9] = c1
+    out[10] = c2
+    out[11] = c3
 
 
 @compiled

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,29 +59,43 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     The next window would hold this one's last regime and the one after the step. For each step it is
     simulated with the fitted twin, and its information JᵀJ is compared with that of this window.
     """
-    present_inverse = _scaled_inverse(problem, fisher)
-    if present_inverse is None or problem.law is None or len(problem.base.model.plant.outputs) > 1:
+    plant = problem.base.model.plant
+    before = _scaled_inverse(problem, fisher)
+    if before is None or problem.law is None or len(plant.outputs) > 1:
         return ""
-    scaling = np.outer(problem.scales, problem.scales)
-    direction = np.linalg.eigh(fisher * scaling)[1][:, 0]
-    present = float(problem.window.reference[-1])
+    least_known = np.linalg.eigh(fisher * np.outer(problem.scales, problem.scales))[1][:, 0]
     place = problem.names.index(name)
-    output = problem.base.model.plant.output
-    levels = np.linspace(*(output.set_points or output.span), _LEVELS)
-    least = _MIN_STEP * (levels[1] - levels[0])
-    gains: list[tuple[float, float, float]] = []
+    present = float(problem.window.reference[-1])
+    levels = np.linspace(*(plant.output.set_points or plant.output.span), _LEVELS)
+    least_step = _MIN_STEP * (levels[1] - levels[0])
+    steps: list[_StepGain] = []
     for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
-        after = _after_step(problem, values, level) if abs(level - present) >= least else None
-        if after is not None:
-            better = float(np.sqrt(direction @ present_inverse @ direction / (direction @ after @ direction)))
-            gains.append((level, better, float(np.sqrt(present_inverse[place, place] / after[place, place]))))
-    best = max((better for _, better, _ in gains), default=0.0)
-    for level, better, of_name in gains:
-        if better >= _NEARLY * best and of_name >= _WORTH:
-            times = f"{of_name:.0f}" if of_name >= 2.5 else f"{of_name:.1f}"
-            way = f"{present:g} to {level:.4g} {output.unit}"
+        if abs(level - present) >= least_step:
+            after = _after_step(problem, values, level)
+            if after is not None:
+                variance_before = least_known @ before @ least_known
+                variance_after = least_known @ after @ least_known
+                of_direction = float(np.sqrt(variance_before / variance_after))
+                of_name = float(np.sqrt(before[place, place] / after[place, place]))
+                steps.append(_StepGain(level, of_direction, of_name))
+    best = max((step.of_direction for step in steps), default=0.0)
+    for step in steps:
+        if step.of_direction >= _NEARLY * best and step.of_name >= _WORTH:
+            times = f"{step.of_name:.0f}" if step.of_name >= 2.5 else f"{step.of_name:.1f}"
+            way = f"{present:g} to {step.level:.4g} {plant.output.unit}"
             return f"a step from {way} would determine {name} about {times} times better"
     return ""
+
+
+class _StepGain(NamedTuple):
+    """How many times better a step would determine something."""
+
+    level: float
+    """The set-point after it."""
+    of_direction: float
+    """The combination that is known least."""
+    of_name: float
+    """The parameter in question."""
 
 
 def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArray | None:
@@ -178,22 +193,27 @@ def identify(
 
 def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
     """Name of the parameter with the widest interval, of equals the first; empty if one ended on a bound."""
-    stopped = [n for n in on_bounds(problem, values) if values[problem.names.index(n)] != 0.0]
+    for name in on_bounds(problem, values):
+        if values[problem.names.index(name)] != 0.0:
+            return ""
     of_parameters = widths[: len(problem.free)]
     place = int(np.argmax(of_parameters))
-    return "" if stopped or of_parameters[place] <= 1.0 or len(widths) == 1 else problem.free[place]
+    if of_parameters[place] <= 1.0 or len(widths) == 1:
+        return ""
+    return problem.free[place]
 
 
 def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
     """Width of each interval relative to the limit of belief, infinite if the data leave a side open."""
     widths = []
     for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
-        closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
-        if not unknown.relative:
-            width = (high - low) / unknown.scale
+        is_closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        if not is_closed:
+            widths.append(math.inf)
+        elif unknown.relative:
+            widths.append(math.log(high / low) / math.log(_WIDEST))
         else:
-            width = math.log(high / low) / math.log(_WIDEST) if closed else math.inf
-        widths.append(width if closed else math.inf)
+            widths.append((high - low) / unknown.scale)
     return widths
 
 
@@ -221,17 +241,17 @@ def _sentence_on(
     """A sentence on the parameters or combination that the window determines, and those left open (95 %)."""
     if not np.isfinite(covariance).all():
         return "some combination of the free parameters does not show in this window at all"
-    determined = [
-        f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed
-    ]
-    undetermined = [
-        f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed
-    ]
-    text = (
-        f"the window determines {_word_list(determined)}"
-        if determined
-        else "the window determines no parameter alone"
-    )
+    determined = []
+    undetermined = []
+    for name, interval in zip(problem.names, intervals, strict=True):
+        words = f"{name} ({_range(interval)})"
+        if name in believed:
+            determined.append(words)
+        else:
+            undetermined.append(words)
+    text = "the window determines no parameter alone"
+    if determined:
+        text = f"the window determines {_word_list(determined)}"
     ratio = _best_ratio(problem, values, covariance)
     if ratio:
         text += f"; best known is the ratio {ratio}"
@@ -246,8 +266,10 @@ def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) ->
     for i, j in combinations(places, 2):
         pair = [i, j]
         relative = covariance[np.ix_(pair, pair)] / np.outer(values[pair], values[pair])
-        error = math.sqrt(max(relative[0, 0] + relative[1, 1] - 2.0 * relative[0, 1], 0.0))
-        if error < best and _TIGHTER * error < math.sqrt(min(relative[0, 0], relative[1, 1])):
+        first = relative[0, 0]
+        second = relative[1, 1]
+        error = math.sqrt(max(first + second - 2.0 * relative[0, 1], 0.0))
+        if error < best and _TIGHTER * error < math.sqrt(min(first, second)):
             best = error
             text = f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
     return text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from types import MappingProxyType
@@ -223,20 +223,20 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     """Number of samples for the test fit, or the reason why none can be made."""
     window = problem.window
     plant = problem.base.model.plant
-    moved = window.references
     signal = "set-point"
+    moved = window.references
     if problem.law is None:
-        movement = ExpectedMovement(effect_of(plant, window.period))
         signal = "input"
+        movement = ExpectedMovement(effect_of(plant, window.period))
         moved = np.array([movement.take(row) for row in window.inputs])
     outputs = [*plant.outputs.values()][: moved.shape[1]]
-    least = [_SHOWS * (y.least_step if min_step is None else min_step) for y in outputs]
+    least = [_SHOWS * (output.least_step if min_step is None else min_step) for output in outputs]
     places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
     excited = min((place for place in places if place is not None), default=None)
     if excited is None:
-        steps = " or ".join(f"{step:g} {y.unit}" for step, y in zip(least, outputs, strict=True))
-        means = "" if signal == "set-point" else "so far that the output would show it, "
-        return 0, f"the {signal} did not move {means}by {steps} within the window's {len(window)} samples"
+        steps = " or ".join(f"{step:g} {output.unit}" for step, output in zip(least, outputs, strict=True))
+        how_far = "so far that the output would show it, " if problem.law is None else ""
+        return 0, f"the {signal} did not move {how_far}by {steps} within the window's {len(window)} samples"
     split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
     if len(window) - split < limits.least_samples:
         return 0, (
@@ -257,15 +257,22 @@ def not_determined(
         variances = LASTING * np.diag(np.linalg.inv(fisher))
     except (TwinmatchError, np.linalg.LinAlgError):
         return "it determines nothing yet"
-    errors = [math.sqrt(v) if v > 0 else math.inf for v in variances.tolist()]  # rounding of a singular one
-    unknown_errors = zip(problem.unknowns, errors, strict=True)
-    wanted = [(unknown.name, error) for unknown, error in unknown_errors if not unknown.initial]
-    determined = ", ".join(f"{name} to {error:.1%}" for name, error in wanted if error <= _KNOWN)
-    still = ", ".join(name for name, error in wanted if not error <= _KNOWN)
-    so_far = (
-        f"it determines {determined}, not yet {still}" if determined else f"it does not determine {still} yet"
-    )
-    return so_far if still else ""
+    determined = []
+    undetermined = []
+    for unknown, variance in zip(problem.unknowns, variances.tolist(), strict=True):
+        if unknown.initial:
+            continue
+        error = math.sqrt(variance) if variance > 0 else math.inf  # rounding of a singular one
+        if error <= _KNOWN:
+            determined.append(f"{unknown.name} to {error:.1%}")
+        else:
+            undetermined.append(unknown.name)
+    if not undetermined:
+        return ""
+    still = ", ".join(undetermined)
+    if determined:
+        return f"it determines {', '.join(determined)}, not yet {still}"
+    return f"it does not determine {still} yet"
 
 
 def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimits) -> Match:
@@ -354,7 +361,9 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
         spread = float(np.linalg.norm(values - np.mean(values)))
         fit = 1.0 - np.linalg.norm(residual) / weight / spread if spread > 0 else math.nan
         figures.append(float(fit))
-    outputs = len(problem.base.model.plant.outputs)
-    return Fit(
-        *(float(np.mean(part)) if part else math.nan for part in (figures[:outputs], figures[outputs:]))
-    )
+    n_outputs = len(problem.base.model.plant.outputs)
+    return Fit(_mean_or_nan(figures[:n_outputs]), _mean_or_nan(figures[n_outputs:]))
+
+
+def _mean_or_nan(figures: Sequence[float]) -> float:
+    return float(np.mean(figures)) if figures else math.nan

@@ -214,7 +214,9 @@ def project(
     fir_into(model.D, task.y, at_zero)
     all_pole_into(model.C, at_zero, at_zero)
     spans = task.spans[: BY_M + 2].copy()
-    spans[BY_M + 1, SIGNAL], spans[BY_M + 1, DELAY], spans[BY_M + 1, COUNT] = AT_ZERO, 0, 1
+    spans[BY_M + 1, SIGNAL] = AT_ZERO
+    spans[BY_M + 1, DELAY] = 0
+    spans[BY_M + 1, COUNT] = 1
     if exact:
         x = solve_triangle(triangularise(signals, pad, spans))
     else:

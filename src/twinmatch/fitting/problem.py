@@ -51,10 +51,10 @@ Prior = Mapping[str, Expectation]
 
 def known_of(prior: Prior, windows: int = 1) -> dict[str, Known]:
     """The prior of a search, with its weight divided among the windows."""
-    return {
-        n: Known(expectation.mean, LASTING / (windows * expectation.deviation**2))
-        for n, expectation in prior.items()
-    }
+    known = {}
+    for name, expectation in prior.items():
+        known[name] = Known(expectation.mean, LASTING / (windows * expectation.deviation**2))
+    return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +162,10 @@ class Noise:
     @classmethod
     def of(cls, plant: type[Plant]) -> Noise:
         """The noise that the plant file declares."""
-        signals = (plant.outputs, plant.drives)
-        return cls(*(tuple(signal.noise for signal in declared.values()) for declared in signals))
+        return cls(
+            tuple(output.noise for output in plant.outputs.values()),
+            tuple(drive.noise for drive in plant.drives.values()),
+        )
 
     @property
     def all(self) -> FloatArray:

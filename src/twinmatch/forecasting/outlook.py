@@ -119,22 +119,44 @@ class StateFilter:
     @property
     def states(self) -> FloatArray:
         """States at the newest sample, corrected by its reading, shape (n,)."""
-        return self._started.states
+        return self.observer.states
 
     @property
     def joint(self) -> FloatArray:
         """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
-        state_covariance = self._started.covariance
+        state_covariance = self.observer.covariance
         m = len(self.free)
         n = len(state_covariance)
         joint = np.zeros((n + m, n + m))
-        joint[:n, :n], joint[n:, n:] = state_covariance, self.covariance
+        joint[:n, :n] = state_covariance
+        joint[n:, n:] = self.covariance
         return joint
 
     @property
-    def _started(self) -> Observer:
+    def observer(self) -> Observer:
+        """The observer, which has taken a sample."""
         assert self._observer is not None, "a filter needs a first sample"  # noqa: S101
         return self._observer
+
+    @property
+    def has_started(self) -> bool:
+        """Whether it has taken a sample."""
+        return self._observer is not None
+
+    @property
+    def inputs(self) -> Signals:
+        """Those at the newest sample."""
+        return self._inputs
+
+    def take_moved(self, samples: Sequence[Sample], count: int) -> None:
+        """Take samples over the first `count` of which the observer has been moved already.
+
+        Where these are not all, its equations had no finite value at the next, and it starts over there.
+        """
+        self._inputs = samples[-1].inputs
+        if count < len(samples):
+            self.restart()
+            self.follow(samples[count:])
 
 
 def foresight_of(
@@ -178,30 +200,30 @@ class Followers:
         """
         following = []
         for state_filter in filters:
-            if state_filter._observer is None:
-                state_filter.follow(samples)
-            else:
+            if state_filter.has_started:
                 following.append(state_filter)
+            else:
+                state_filter.follow(samples)
         if not (following and samples):
             return
-        observers = [state_filter._started for state_filter in following]
+        observers = [state_filter.observer for state_filter in following]
         if observers != self._observers or self._bank is None:
             self._observers = observers
             self._bank = ObserverBank(observers)
-        numbers = _move_on(self._bank, following[0]._inputs, samples)
-        for state_filter, count in zip(following, numbers, strict=True):
-            state_filter._inputs = samples[-1].inputs
-            if count < len(samples):
-                state_filter.restart()
-                state_filter.follow(samples[count:])
+        counts = _move_on(self._bank, following[0].inputs, samples)
+        for state_filter, count in zip(following, counts, strict=True):
+            state_filter.take_moved(samples, count)
 
 
 def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
     """Move a bank on over samples, under these inputs to the first; how many each observer took."""
-    before = [inputs, *(s.inputs for s in samples[:-1])]
-    rows = [s.disturbances for s in samples] if samples[0].disturbances else None
+    inputs_now = [sample.inputs for sample in samples]
     return bank.push(
-        before, [s.outputs for s in samples], [s.seen for s in samples], rows, [s.inputs for s in samples]
+        [inputs, *inputs_now[:-1]],
+        [sample.outputs for sample in samples],
+        [sample.seen for sample in samples],
+        [sample.disturbances for sample in samples] if samples[0].disturbances else None,
+        inputs_now,
     )
 
 
@@ -289,22 +311,23 @@ class Outlook:
             raise ForecastError(msg)
         predicted = self.predicted(values, disturbances)
         size = len(values)
-        half = deviations(self.parameters.model, predicted.variances)[: len(self.widths)] * self._widths(size)
-        many = predicted.outputs.shape[1]
-        y = predicted.means[:many]
-        u = predicted.means[many:]
+        expected = deviations(self.parameters.model, predicted.variances)[: len(self.widths)]
+        half = expected * self._widths(size)
+        n_outputs = predicted.outputs.shape[1]
+        y = predicted.means[:n_outputs]
+        u = predicted.means[n_outputs:]
+        output_bands = []
+        for mean, half_width in zip(y, half, strict=False):
+            output_bands.append(Band(mean, mean - half_width, mean + half_width))
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
             structure=self.parameters.model.structure_name,
             confidence=CONFIDENCE,
             time=np.arange(1, size + 1, dtype=np.float64) * self.period,
-            references=values if self.closed else np.full((size, many), np.nan),
-            outputs=tuple(
-                Band(mean, mean - half_width, mean + half_width)
-                for mean, half_width in zip(y, half, strict=False)
-            ),
-            inputs=self._input_bands(u, half[many:]),
+            references=values if self.closed else np.full((size, n_outputs), np.nan),
+            outputs=tuple(output_bands),
+            inputs=self._input_bands(u, half[n_outputs:]),
             notes=self.notes + self._assumptions(values, disturbances) + self._notes_on_range(y),
         )
 
@@ -313,13 +336,14 @@ class Outlook:
         plant = self.parameters.model.plant
         notes = []
         if not self.closed:
-            stays = bool((ahead.reshape(len(ahead), -1) == self.sample.inputs).all())
-            drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
-            level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
-            inputs_ahead = f"a constant input of {level}" if stays else "the given inputs"
+            inputs_ahead = "the given inputs"
+            if (ahead.reshape(len(ahead), -1) == self.sample.inputs).all():
+                drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
+                level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
+                inputs_ahead = f"a constant input of {level}"
             notes.append(f"the loop is not known: the forecast is for {inputs_ahead}")
         if self.sample.disturbances and disturbances is None:
-            names = " and ".join(d.text or d.name for d in plant.disturbances.values())
+            names = " and ".join(column.text or column.name for column in plant.disturbances.values())
             notes.append(f"the forecast assumes that the measured disturbances ({names}) stay constant")
         return tuple(notes)
 
@@ -328,12 +352,15 @@ class Outlook:
         if self.law is None:
             return tuple(Band(mean, mean, mean) for mean in means)
         bands = []
-        law = self.law.code
-        drives = self.parameters.model.plant.drives.values()
-        for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
-            low = max(float(law[LOW + k]), drive.limits[0])
-            high = min(float(law[LOW + len(means) + k]), drive.limits[1])
-            bands.append(Band(mean, np.clip(mean - half, low, high), np.clip(mean + half, low, high)))
+        m = len(means)
+        lows, highs = self.law.code[LOW : LOW + 2 * m].reshape(2, m)
+        drives = list(self.parameters.model.plant.drives.values())
+        for k in range(m):
+            low = max(float(lows[k]), drives[k].limits[0])
+            high = min(float(highs[k]), drives[k].limits[1])
+            lower = np.clip(means[k] - halves[k], low, high)
+            upper = np.clip(means[k] + halves[k], low, high)
+            bands.append(Band(means[k], lower, upper))
         return tuple(bands)
 
     def _widths(self, samples: int) -> FloatArray:
@@ -345,16 +372,16 @@ class Outlook:
         """A note for each output whose forecast leaves the visited range."""
         notes = []
         declared = self.parameters.model.plant.outputs
-        for y, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
-            room = _MARGIN * y.noise
-            reach = float(values.min()), float(values.max())
-            if visited[0] - room <= reach[0] and reach[1] <= visited[1] + room:
+        for output, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
+            room = _MARGIN * output.noise
+            low, high = visited
+            lowest = float(values.min())
+            highest = float(values.max())
+            if low - room <= lowest and highest <= high + room:
                 continue
-            of_output = f" of {y.name}" if len(declared) > 1 else ""
-            span = f"{visited[0]:.4g} to {visited[1]:.4g} {y.unit}"
-            went = f"{reach[0]:.4g} to {reach[1]:.4g} {y.unit}"
+            of_output = f" of {output.name}" if len(declared) > 1 else ""
             notes.append(
-                f"the forecast{of_output} covers {went}, but only {span} was visited: "
-                "beyond that the band may not hold"
+                f"the forecast{of_output} covers {lowest:.4g} to {highest:.4g} {output.unit}, but only "
+                f"{low:.4g} to {high:.4g} {output.unit} was visited: beyond that the band may not hold"
             )
         return tuple(notes)

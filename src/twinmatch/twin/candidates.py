@@ -72,7 +72,7 @@ class _NewestWindow(NamedTuple):
     window: Window
     model: SimoModel | None
     """None: the plant has several loops."""
-    now: Parameters | None
+    plant_now: Parameters | None
     """Parameters of the plant fitted to the newest samples, if that was possible."""
 
 
@@ -176,20 +176,28 @@ class CandidatePool:
     def leave_memory(self) -> tuple[str, ...]:
         """If the plant is not the remembered one, remove the remembered twins and the matches that had their
         values as prior; return the names of these."""
-        if self.estranged or not (estranged := self.structures.estranged):
+        estranged = self.structures.estranged
+        if self.estranged or not estranged:
             return ()
         self.estranged = estranged
         self._remembered = ()
         prior = self._settings.prior
-        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])  # new accounts
+        # those that are left out now get new accounts
+        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])
         self.structures.forget()
-        models = {name: member.candidate.parameters.model for name, member in self._members.items()}
-        return self._remove([name for name, model in models.items() if model.structure_name in prior])
+        informed = []
+        for name, member in self._members.items():
+            if member.candidate.parameters.model.structure_name in prior:
+                informed.append(name)
+        return self._remove(informed)
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Remove the candidates fitted to samples that overlap `first` to `last`; return their names."""
-        spans = {name: member.candidate.samples for name, member in self._members.items()}
-        matches = [name for name, span in spans.items() if span[0] <= last and span[1] >= first]
+        matches = []
+        for name, member in self._members.items():
+            first_fitted, last_fitted = member.candidate.samples
+            if first_fitted <= last and last_fitted >= first:
+                matches.append(name)
         return self._remove(matches, self.structures.expel(first, last))
 
     def _remove(self, matches: Sequence[str], structures: tuple[str, ...] = ()) -> tuple[str, ...]:
@@ -326,10 +334,13 @@ class CandidatePool:
         if self._settings.law is None:
             settled = newest.outputs[-self._settings.schedule.min_span :].T
             levels = np.array([[y.mean() for y in settled]])
-        all_levels = np.vstack([levels, *(self._reached or ())])
-        self._reached = all_levels.min(axis=0), all_levels.max(axis=0)
-        points = {*map(point_of, self._reached), *(c.operating_point for c in self._family.candidates)}
-        return tuple(sorted(points, key=point_values))
+        if self._reached is not None:
+            levels = np.vstack([levels, *self._reached])
+        lowest = levels.min(axis=0)
+        highest = levels.max(axis=0)
+        self._reached = lowest, highest
+        points = {candidate.operating_point for candidate in self._family.candidates}
+        return tuple(sorted(points | {point_of(lowest), point_of(highest)}, key=point_values))
 
 
 def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
@@ -13,8 +13,7 @@ import numpy as np
 
 from twinmatch.comparing import Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law, Plant, PlantError
-from twinmatch.dynamics.forecasts import TwinsNow
-from twinmatch.dynamics.variances import BANDED, MEAN
+from twinmatch.dynamics.forecasts import TwinsNow, Wanted
 from twinmatch.forecasting import (
     Arx,
     ArxForecast,
@@ -56,6 +55,24 @@ class Snapshot(NamedTuple):
             ForecastError: there is no candidate yet, or none of that name.
         """
         return self.outlooks[_check_name(self.leader if name is None else name, self.outlooks)]
+
+
+class _Conditions(NamedTuple):
+    """What forecasts from a sample are made for."""
+
+    ahead: FloatArray
+    """Set-points after it or, if the loop is not known, inputs, shape (N, r)."""
+    disturbances: FloatArray | None
+    """Those from it on, shape (N + 1, d), if there are any."""
+
+
+class _Forecast(NamedTuple):
+    """What one candidate forecast."""
+
+    means: FloatArray
+    """Outputs, then inputs, shape (o + m, N)."""
+    variances: FloatArray
+    """The same; not of use unless bands were wanted."""
 
 
 class _Departure(NamedTuple):
@@ -187,9 +204,10 @@ class Forecaster:
         """Have the twins, and the controller's state, take the samples that are waiting."""
         if not self._waiting:
             return
-        samples, stand_ins = map(list, zip(*self._waiting, strict=True))
+        samples = [sample for sample, _ in self._waiting]
+        outputs_taken = np.array([taken for _, taken in self._waiting])
         self._waiting = []
-        came = np.array([(*s.references, *s.outputs, *s.inputs, *s.disturbances, s.seen) for s in samples])
+        came = np.array([_row_of(sample) for sample in samples])
         if not finite(came):
             bad = samples[int(np.argmin(np.isfinite(came).all(axis=1)))].index
             raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
@@ -197,8 +215,8 @@ class Forecaster:
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
             references, _, inputs, _ = self._columns
-            for row, y in zip(came, np.array(stand_ins), strict=True):
-                self._controller = self._law.follow(self._controller, row[references], y, row[inputs])
+            for row, outputs in zip(came, outputs_taken, strict=True):
+                self._controller = self._law.follow(self._controller, row[references], outputs, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
     @property
@@ -323,7 +341,6 @@ class Forecaster:
             return None
         self._catch_up()
         departure = self._departures[departures[-1]]
-        _, outputs, inputs, _ = self._columns
         outlook = departure.outlooks[departure.leader]
         came = self._rows[departures[-1] - newest - 1 :]
         try:
@@ -333,11 +350,13 @@ class Forecaster:
                 raise
             return None
         rows = came[-samples:]
-        counted = came[-samples:, -1] > 0.0
-        if not counted.any():
+        is_received = rows[:, -1] > 0.0
+        if not is_received.any():
             return None
-        measured = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
-        return check_band(forecast, *measured, None if counted.all() else counted)
+        _, outputs, inputs, _ = self._columns
+        measured_inputs = None if self._law is None else rows[:, inputs].T
+        counted = None if is_received.all() else is_received
+        return check_band(forecast, rows[:, outputs].T, measured_inputs, counted)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -349,13 +368,12 @@ class Forecaster:
                 raise
             self._set({twin_name: twin for twin_name, twin in self._twins.items() if twin_name != name})
 
-    def _conditions(self, came: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
-        not known) after it, shape (N, r), and disturbances from it on, shape (N + 1, d), if there are any."""
+    def _conditions(self, came: FloatArray) -> _Conditions:
+        """What forecasts from the first of some samples are made for."""
         references, _, inputs, disturbances = self._columns
         ahead = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
         disturbance_rows = np.ascontiguousarray(came[:, disturbances])
-        return ahead, disturbance_rows if disturbance_rows.size else None
+        return _Conditions(ahead, disturbance_rows if disturbance_rows.size else None)
 
     def _begin(self) -> None:
         """Start over, also after a gap; what was learned stays."""
@@ -401,54 +419,76 @@ class Forecaster:
             return
         self._catch_up()
         came = self._rows[-ahead - 1 :]
-        signals = ledger.noise.size
-        before = max((h for h in self.horizons if h < ahead), default=0)
+        before = max((horizon for horizon in self.horizons if horizon < ahead), default=0)
         is_received = came[1:, -1] > 0.0
         if not is_received[before:].any():
             return
-        conditions, disturbances = self._conditions(came)
-        first = self._columns[1].start
-        measured = np.ascontiguousarray(came[:, first : first + signals].T)
-        measured = measured[:, 1:]
+        conditions = self._conditions(came)
+        signals = ledger.noise.size
+        measured = self._measured(came, signals)
         banded = departure.widths.keys() & self._twins.keys()
-        forecasts: dict[str, tuple[FloatArray, FloatArray]] = {}
-        if departure.foresight is not None and departure.now is not None:
-            wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
-            figures = departure.foresight.each(departure.now, wanted, conditions, disturbances)
-            forecasts = {
-                n: (m, v) for n, m, v, use in zip(departure.names, *figures, wanted, strict=True) if use
-            }
-        for name in self._twins.external:
-            if name in departure.outlooks:
-                with self._removing_lost(name):
-                    predicted = departure.outlooks[name].predicted(
-                        conditions, disturbances, banded=name in banded
-                    )
-                    forecasts[name] = predicted.means, predicted.variances
-        means = np.array([means[:signals] for means, _ in forecasts.values()])
+        forecasts = self._forecasts(departure, conditions, banded)
+        means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
         errors = measured - means.reshape(-1, signals, ahead)
-        for error, (name, (_, variances)) in zip(errors, forecasts.items(), strict=True):
+        for error, (name, forecast) in zip(errors, forecasts.items(), strict=True):
             if name in banded:
                 twin = self._twins[name]
-                quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
+                widths = deviations(twin.candidate.parameters.model, forecast.variances)[:signals]
+                quotients = np.abs(error) / widths
                 quotients[:, ~is_received] = np.nan
                 twin.calibration.learn(quotients, before, departure.widths[name])
-        received_places = np.flatnonzero(is_received)
-        new = received_places[received_places >= before]
-        baselines = measured - departure.arx.referees(conditions, disturbances)[:, :signals]
+        received = np.flatnonzero(is_received)
+        new = received[received >= before]
+        baselines = measured - departure.arx.referees(*conditions)[:, :signals]
         ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], place)
         self.standings = Standings(self._twins, ledger, self.horizons)
         if ahead == self._longest and departure.leader in forecasts:
-            paths = rms(rms(errors[:, :, received_places], ledger.noise[:, None]))
+            paths = rms(rms(errors[:, :, received], ledger.noise[:, None]))
             leading = paths[list(forecasts).index(departure.leader)]
             self._leader_confidence.add(float(leading), float(paths.min()))
+
+    def _measured(self, came: FloatArray, signals: int) -> FloatArray:
+        """The forecast signals behind the first of some samples, shape (signals, N)."""
+        first = self._columns[1].start
+        rows = np.ascontiguousarray(came[:, first : first + signals].T)
+        return rows[:, 1:]
+
+    def _forecasts(
+        self, departure: _Departure, conditions: _Conditions, banded: Collection[str]
+    ) -> dict[str, _Forecast]:
+        """What all candidates that are left forecast from a departure; with variances the banded ones."""
+        forecasts: dict[str, _Forecast] = {}
+        if departure.foresight is not None and departure.now is not None:
+            wanted = [self._wanted_of(name, banded) for name in departure.names]
+            means, variances = departure.foresight.each(departure.now, wanted, *conditions)
+            for k, name in enumerate(departure.names):
+                if wanted[k] is not Wanted.NOTHING:
+                    forecasts[name] = _Forecast(means[k], variances[k])
+        for name in self._twins.external:
+            if name in departure.outlooks:
+                with self._removing_lost(name):
+                    predicted = departure.outlooks[name].predicted(*conditions, banded=name in banded)
+                    forecasts[name] = _Forecast(predicted.means, predicted.variances)
+        return forecasts
+
+    def _wanted_of(self, name: str, banded: Collection[str]) -> Wanted:
+        if name not in self._twins:
+            return Wanted.NOTHING
+        return Wanted.BANDED if name in banded else Wanted.MEAN
 
 
 def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
     """Noise of the forecast signals: of all outputs and, where the loop is known, of all inputs; shape
     (signals,)."""
-    drives = [] if law is None else [drive.noise for drive in plant.drives.values()]
-    return np.array([*(output.noise for output in plant.outputs.values()), *drives])
+    noise = [output.noise for output in plant.outputs.values()]
+    if law is not None:
+        noise += [drive.noise for drive in plant.drives.values()]
+    return np.array(noise)
+
+
+def _row_of(sample: Sample) -> tuple[float, ...]:
+    """Set-points, outputs, inputs, disturbances of a sample, and whether it was received."""
+    return (*sample.references, *sample.outputs, *sample.inputs, *sample.disturbances, sample.seen)
 
 
 def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import chain, groupby
+from itertools import groupby
 
 import numpy as np
 
@@ -113,7 +113,8 @@ class LiveExperiment:
             plan = self._planned(snapshot, remaining, self._rest)
         except TwinmatchError as error:
             return f"stopped: {error}"
-        self._found, self._planned_at = plan, len(self._samples)
+        self._found = plan
+        self._planned_at = len(self._samples)
         self._expected = brought + plan.course.characters
         return "" if plan.course.characters >= LEAST else "its rest would tell nothing more"
 
@@ -132,9 +133,10 @@ class LiveExperiment:
         """Of contenders to be told apart the best, and what the samples have brought, in characters."""
         if not self._samples:
             return "", 0.0
-        rows = [np.array([getattr(s, name) for s in self._samples]) for name in ("outputs", "inputs")]
+        outputs = np.array([sample.outputs for sample in self._samples])
+        inputs = np.array([sample.inputs for sample in self._samples])
         with one_thread():
-            characters = characters_by(self._begun, *rows)
+            characters = characters_by(self._begun, outputs, inputs)
         if not self.goal.pairs:
             return "", float(characters.mean())
         second, first = np.sort(characters)[-2:]
@@ -163,15 +165,25 @@ class LiveExperiment:
             return next_experiment(members, goal, terms, running=rest)
 
     def _reported(self, sample: int, phase: ExperimentPhase, brought: float) -> ExperimentReport:
-        period = self._settings.period
-        steps = [(level, len(list(run))) for level, run in groupby(map(tuple, self._rest.tolist()))]
-        steps.append((self.before, 1))  # should nobody be there at its end, the set-point returns by itself
-        levels = tuple(chain.from_iterable(level for level, _ in steps))
-        durations = [n for _, n in steps]
+        levels: list[float] = []
+        holds = []
+        for level, run in groupby(map(tuple, self._rest.tolist())):
+            levels += level
+            holds.append(len(list(run)) * self._settings.period)
+        # should nobody be there at its end, the set-point returns by itself
+        levels += self.before
+        holds.append(self._settings.period)
         return ExperimentReport(
-            sample, phase, self.goal.name, self._first, self._expected, brought,
-            levels, tuple(n * period for n in durations), reason=_beside(self._found),
-        )  # fmt: skip
+            sample,
+            phase,
+            self.goal.name,
+            self._first,
+            self._expected,
+            brought,
+            tuple(levels),
+            tuple(holds),
+            reason=_beside(self._found),
+        )
 
 
 def _beside(found: NextExperiment) -> str:

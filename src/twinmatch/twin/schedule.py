@@ -79,10 +79,11 @@ class ScheduleSettings:
         counts = {}
         for declared in fields(cls):
             if declared.metadata["unit"] == "samples":
-                low = declared.metadata["low"]
-                high = declared.metadata["high"]
-                counts[declared.name] = min(max(round(getattr(cls, declared.name) * factor), low), high)
-        return cls(scale, min_step=next(iter(plant.outputs.values())).least_step, **counts)
+                count = round(getattr(cls, declared.name) * factor)
+                at_least = max(count, declared.metadata["low"])
+                counts[declared.name] = min(at_least, declared.metadata["high"])
+        first_output = next(iter(plant.outputs.values()))
+        return cls(scale, min_step=first_output.least_step, **counts)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):
