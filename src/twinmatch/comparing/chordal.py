@@ -229,28 +229,28 @@ def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128
     count = roots1.size + roots2.size
     if count == 0:
         return np.array([-1.0, 1.0])
-    where = np.empty(count)
-    off = np.empty(count)
+    height = np.empty(count)
+    angle = np.empty(count)
     low = math.inf
     high = -math.inf
     for i in range(count):
         root = roots1[i] if i < roots1.size else roots2[i - roots1.size]
-        where[i] = math.log(abs(root))
-        off[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
-        low = min(low, where[i])
-        high = max(high, where[i])
+        height[i] = math.log(abs(root))
+        angle[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
+        low = min(low, height[i])
+        high = max(high, height[i])
     nodes = [low - MARGIN]
     while nodes[-1] < high + MARGIN:
-        nodes.append(nodes[-1] + STEP * _clearance(where, off, nodes[-1]))
+        nodes.append(nodes[-1] + STEP * _clearance(height, angle, nodes[-1]))
     return np.array(nodes)
 
 
 @compiled
-def _clearance(where: FloatArray, off: FloatArray, t: float) -> float:
+def _clearance(height: FloatArray, angle: FloatArray, t: float) -> float:
     """Distance from t to the nearest pole."""
     nearest = math.inf
-    for i in range(where.size):
-        nearest = min(nearest, (t - where[i]) ** 2 + off[i] ** 2)
+    for i in range(height.size):
+        nearest = min(nearest, (t - height[i]) ** 2 + angle[i] ** 2)
     return math.sqrt(nearest)
 
 
@@ -276,7 +276,12 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
 def _put(  # noqa: PLR0917 (values in a row)
     row: FloatArray, a: float, b: float, fa: float, fb: float, da: float, db: float
 ) -> None:
-    row[0], row[1], row[2], row[3], row[4], row[5] = a, b, fa, fb, da, db
+    row[0] = a
+    row[1] = b
+    row[2] = fa
+    row[3] = fb
+    row[4] = da
+    row[5] = db
 
 
 @compiled
@@ -312,10 +317,10 @@ def highest(
             if fm > best:
                 best = fm
                 place = m
-            off = abs(fm - (0.5 * (fa + fb) + 0.125 * h * (da - db)))
-            off += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
+            error = abs(fm - (0.5 * (fa + fb) + 0.125 * h * (da - db)))
+            error += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
             # halving reduces the error of the cubics 16 times; an eighth leaves a margin
-            bar = best * (1 + TOLERANCE) - 0.125 * off
+            bar = best * (1 + TOLERANCE) - 0.125 * error
             if h < MIN_LENGTH or halvings > MAX_HALVINGS or waiting > STACK - 3:
                 continue
             h *= 0.5

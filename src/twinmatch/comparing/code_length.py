@@ -75,8 +75,8 @@ def code_length(values: ArrayLike, decimals: int) -> int:
         raise DiscriminationError(
             f"code length: entry {bad[0]} of the table is {table[bad[0]]}; only finite values can be written"
         )
-    plain, others = _characters(table, decimals, 10.0**decimals)
-    return plain + sum(len(_text_of(table[place], decimals)) for place in others)
+    plain, exceptions = _characters(table, decimals, 10.0**decimals)
+    return plain + sum(len(_text_of(table[place], decimals)) for place in exceptions)
 
 
 def information_gain(
@@ -109,15 +109,15 @@ def information_gain(
         raise DiscriminationError(msg)
     trivial = code_length(observed, decimals)
     with np.errstate(over="ignore", invalid="ignore"):
-        rest = observed[copied:] - modelled[copied:]
-    bad = np.flatnonzero(~np.isfinite(rest))
+        errors = observed[copied:] - modelled[copied:]
+    bad = np.flatnonzero(~np.isfinite(errors))
     if bad.size:
         k = copied + int(bad[0])
         raise DiscriminationError(
             f"information gain: at sample {k} the measured value is {observed[k]} and the simulated one "
             f"{modelled[k]}; their difference must be finite"
         )
-    model = code_length(observed[:copied], decimals) + code_length(rest, decimals)
+    model = code_length(observed[:copied], decimals) + code_length(errors, decimals)
     return InformationGain(TRIVIAL_PROGRAM + trivial, MODEL_PROGRAM + model)
 
 
@@ -150,13 +150,13 @@ def two_part_length(model_length: float, parameters: int, samples: int) -> float
 def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, list[int]]:
     """Characters of the numbers that exact arithmetic can round, and the places of the others."""
     total = 0
-    others = [0][:0]
+    exceptions = [0][:0]
     for place in range(table.size):
         scaled = abs(table[place]) * scale
         nearest = np.rint(scaled)
         # A product that rounds to a half may be a little more or less.
         if not scaled < _EXACT or abs(scaled - nearest) == 0.5:
-            others.append(place)
+            exceptions.append(place)
             continue
         digits = int(nearest)
         after = decimals
@@ -167,7 +167,7 @@ def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, li
         while digits > 9:
             digits //= 10
             total += 1
-    return total, others
+    return total, exceptions
 
 
 def _text_of(value: float, decimals: int) -> str:

@@ -174,25 +174,33 @@ def _pad(coefficients: FloatArray, width: int) -> FloatArray:
 def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool) -> Column:
     """Column [d; N] over the product of the distinct denominators."""
     denominators: list[FloatArray] = []
-    which = []
-    for _, d in pairs:
-        known = next((i for i, other in enumerate(denominators) if np.array_equal(d, other)), None)
-        which.append(len(denominators) if known is None else known)
-        if known is None:
-            denominators.append(d)
-    polynomials = exact([*denominators, *(n for n, _ in pairs)])
+    places = []
+    for _, own_denominator in pairs:
+        place = _place_of(own_denominator, denominators)
+        if place is None:
+            place = len(denominators)
+            denominators.append(own_denominator)
+        places.append(place)
+    polynomials = exact([*denominators, *(numerator for numerator, _ in pairs)])
     below = polynomials[: len(denominators)]
     above = polynomials[len(denominators) :]
     for k, denominator in enumerate(below):
         if not any(denominator):
-            msg = f"model: the denominator of output {which.index(k)} is zero; give one that is not"
+            msg = f"model: the denominator of output {places.index(k)} is zero; give one that is not"
             raise DiscriminationError(msg)
     column = [product(below)]
-    for k, numerator in zip(which, above, strict=True):
+    for k, numerator in zip(places, above, strict=True):
         column.append(product([numerator, *below[:k], *below[k + 1 :]]))
-    width = max(len(p) for p in column)
-    column = trim_top([p + [0] * (width - len(p)) for p in column])
+    width = max(len(polynomial) for polynomial in column)
+    column = trim_top([polynomial + [0] * (width - len(polynomial)) for polynomial in column])
     return to_half_plane(column) if discrete else column
+
+
+def _place_of(wanted: FloatArray, denominators: Sequence[FloatArray]) -> int | None:
+    for place, denominator in enumerate(denominators):
+        if np.array_equal(wanted, denominator):
+            return place
+    return None
 
 
 def spectral_roots(column: Column) -> NDArray[np.complex128]:

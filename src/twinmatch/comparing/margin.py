@@ -89,9 +89,8 @@ def _transpose(controller: Any) -> Any:
     if hasattr(controller, "A"):
         matrices = (controller.A, controller.C, controller.B, controller.D)
         return type(controller)(*(matrix.T for matrix in matrices), controller.dt)
-    numerators, denominators = (
-        [[entry] for entry in array[0]] for array in (controller.num_array, controller.den_array)
-    )
+    numerators = [[entry] for entry in controller.num_array[0]]
+    denominators = [[entry] for entry in controller.den_array[0]]
     return type(controller)(numerators, denominators, controller.dt)
 
 
@@ -105,13 +104,13 @@ def _smallest(
     """Smallest |K G|/|K||G| over all frequencies; `inner` is K G."""
     high = chordal.with_powers_of_j(inner[0])
     low = chordal.with_powers_of_j(inner[1])
-    one = np.ones((1, 1))
+    unity = np.ones((1, 1))
     # as the search needs it: a sum of squares |G|²|K|² over |K G|², largest where the margin is smallest
     products = chordal.with_powers_of_j(_products(plant[0], controller[0]))
     grid = chordal.frequency_grid(poles, poles[:0])
     _, place = chordal.highest(
         chordal.with_derivatives(high),
-        chordal.with_derivatives(one),
+        chordal.with_derivatives(unity),
         chordal.with_derivatives(products),
         grid,
     )
@@ -167,17 +166,20 @@ def loop_controller(gains: PidGains, *, scales: Scales | None = None) -> GraphSy
         DiscriminationError: as `Scales.of`.
     """
     scales = scales or Scales.of(gains)
-    parts = [(np.array([gains.proportional]), np.array([1.0]))]
+    unity = np.array([1.0])
+    z = np.array([1.0, 0.0])
+    z_minus_1 = np.array([1.0, -1.0])
+    parts = [(np.array([gains.proportional]), unity)]
     if gains.integral != 0:
-        parts.append((np.array([gains.integral * gains.period]), np.array([1.0, -1.0])))
+        parts.append((np.array([gains.integral * gains.period]), z_minus_1))
     if gains.derivative != 0:
-        parts.append((gains.derivative / gains.period * np.array([1.0, -1.0]), np.array([1.0, 0.0])))
+        parts.append((gains.derivative / gains.period * z_minus_1, z))
     numerator: FloatArray = np.zeros(1)
     denominator: FloatArray = np.ones(1)
-    for n, d in parts:
-        total = np.polyadd(np.convolve(numerator, d), np.convolve(n, denominator))
+    for part_numerator, part_denominator in parts:
+        total = np.polyadd(np.convolve(numerator, part_denominator), np.convolve(part_numerator, denominator))
         numerator = np.asarray(total, dtype=np.float64)
-        denominator = np.convolve(denominator, d)
+        denominator = np.convolve(denominator, part_denominator)
     scaled = numerator * float(np.divide(scales.output, scales.input))
     return GraphSymbol.of_polynomials(denominator, [scaled], gains.period)
 

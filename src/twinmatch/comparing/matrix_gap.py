@@ -60,22 +60,26 @@ def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
             value.
     """
     if first.D.shape != second.D.shape:
-        of = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
-        raise DiscriminationError(f"ν-gap: one model has {of[0]}, the other {of[1]}; they must be equal")
-    one, two = half_plane(first, second)
-    loop = closed_loop(one, two.adjoint)
+        sizes = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
+        raise DiscriminationError(
+            f"ν-gap: one model has {sizes[0]}, the other {sizes[1]}; they must be equal"
+        )
+    left_system, right_system = half_plane(first, second)
+    loop = closed_loop(left_system, right_system.adjoint)
     if loop is None:
         return 1.0
-    poles = [np.linalg.eigvals(system.A) for system in (one, two, loop)]
-    winds = int(np.sum(poles[2].real < 0)) != len(one.A)
+    poles = [np.linalg.eigvals(system.A) for system in (left_system, right_system, loop)]
+    winds = int(np.sum(poles[2].real < 0)) != len(left_system.A)
 
     def gaps(frequencies: FloatArray) -> FloatArray:
-        at = beside(frequencies, np.concatenate(poles[:2]))
-        return gaps_of(one.response(at), two.response(at))
+        frequencies_beside = beside(frequencies, np.concatenate(poles[:2]))
+        return gaps_of(left_system.response(frequencies_beside), right_system.response(frequencies_beside))
 
     if winds and gaps(frequencies_of(poles[2])).any():
         return 1.0
-    largest = _largest(gaps, lambda level: _level_zeros(one, two, level), np.concatenate(poles), ONE)
+    largest = _largest(
+        gaps, lambda level: _level_zeros(left_system, right_system, level), np.concatenate(poles), ONE
+    )
     return 1.0 if largest >= ONE else largest
 
 
@@ -110,23 +114,26 @@ def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 def gaps_of(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> FloatArray:
     """Gaps between responses at the same frequencies, shapes (frequencies, p, m) → (frequencies,)."""
-    right = _factor(first)
-    left = _factor(second.conj().swapaxes(1, 2))
-    half = np.linalg.solve(left.conj().swapaxes(1, 2), first - second)
-    whole = np.linalg.solve(right.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
+    right_factor = _factor(first)
+    left_factor = _factor(second.conj().swapaxes(1, 2))
+    half = np.linalg.solve(left_factor.conj().swapaxes(1, 2), first - second)
+    whole = np.linalg.solve(right_factor.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
     return np.asarray(np.minimum(1.0, sizes_of(whole)))
 
 
 def _factor(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """R of R*R = I + P*P: modified Gram–Schmidt on the columns of [I; P], all frequencies at once."""
     m = response.shape[2]
-    columns = np.concatenate([np.broadcast_to(np.eye(m), (len(response), m, m)), response], axis=1)
+    identity = np.broadcast_to(np.eye(m), (len(response), m, m))
+    columns = np.concatenate([identity, response], axis=1)
     factor = np.zeros((len(response), m, m), dtype=np.complex128)
     for k in range(m):
-        factor[:, k, k] = np.sqrt(np.sum(np.abs(columns[:, :, k]) ** 2, axis=1))
-        unit = columns[:, :, k] / factor[:, k, k, None]
-        factor[:, k, k + 1 :] = (unit.conj()[:, None] @ columns[:, :, k + 1 :])[:, 0]
-        columns[:, :, k + 1 :] -= unit[:, :, None] * factor[:, k, None, k + 1 :]
+        column = columns[:, :, k]
+        later_columns = columns[:, :, k + 1 :]
+        factor[:, k, k] = np.sqrt(np.sum(np.abs(column) ** 2, axis=1))
+        unit = column / factor[:, k, k, None]
+        factor[:, k, k + 1 :] = (unit.conj()[:, None] @ later_columns)[:, 0]
+        later_columns -= unit[:, :, None] * factor[:, k, None, k + 1 :]
     return factor
 
 
@@ -138,45 +145,56 @@ def sizes_of(matrices: Matrix) -> FloatArray:
     rows = matrices if matrices.shape[1] == 2 else matrices.swapaxes(1, 2)
     first, second = np.sum(np.abs(rows) ** 2, axis=2).T
     across = np.abs(np.sum(rows[:, 0] * rows[:, 1].conj(), axis=1))
-    return np.asarray(np.sqrt(0.5 * (first + second + np.hypot(first - second, 2.0 * across))))
+    root = np.hypot(first - second, 2.0 * across)
+    return np.asarray(np.sqrt(0.5 * (first + second + root)))
 
 
 def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
     """The loop u = d − C·(y + n), from [d; n] to [y; u]; None if it is not well posed."""
-    (a, b, c, d), (ac, bc, cc, dc) = ((s.A, s.B, s.C, s.D) for s in (plant, controller))
-    p, m = d.shape
-    direct = np.eye(m) + dc @ d
+    p, m = plant.D.shape
+    direct = np.eye(m) + controller.D @ plant.D
     if np.linalg.cond(direct) > 1 / ON_AXIS**1.5:
         return None
-    n = len(a)
-    q = len(ac)
+    n = len(plant.A)
+    q = len(controller.A)
+    # Each signal as rows over the states of plant and controller, the disturbance d and the noise n.
     x, xc, disturbance, noise = np.split(np.eye(n + q + m + p), np.cumsum([n, q, m]))
-    u = np.linalg.solve(direct, disturbance - dc @ (c @ x + noise) - cc @ xc)
-    y = c @ x + d @ u
-    rows = np.concatenate([a @ x + b @ u, ac @ xc + bc @ (y + noise), y, u])
-    total = n + q
-    return StateSpace(rows[:total, :total], rows[:total, total:], rows[total:, :total], rows[total:, total:])
+    without_direct = disturbance - controller.D @ (plant.C @ x + noise) - controller.C @ xc
+    u = np.linalg.solve(direct, without_direct)
+    y = plant.C @ x + plant.D @ u
+    x_rate = plant.A @ x + plant.B @ u
+    xc_rate = controller.A @ xc + controller.B @ (y + noise)
+    rows = np.concatenate([x_rate, xc_rate, y, u])
+    states = slice(n + q)
+    signals = slice(n + q, None)
+    return StateSpace(
+        rows[states, states], rows[states, signals], rows[signals, states], rows[signals, signals]
+    )
 
 
-def _level_zeros(one: StateSpace, two: StateSpace, level: float) -> Matrix:
+def _level_zeros(first: StateSpace, second: StateSpace, level: float) -> Matrix:
     """Where a singular value of the gap equals `level`: on the axis, and elsewhere in the plane."""
-    back1 = one.adjoint
-    back2 = two.adjoint
-    p, m = one.D.shape
-    n1 = len(one.A)
-    n2 = len(two.A)
+    back1 = first.adjoint
+    back2 = second.adjoint
+    p, m = first.D.shape
+    n1 = len(first.A)
+    n2 = len(second.A)
     x1, z1, x2, z2, v, w = np.split(np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p]))
-    through1 = one.C @ x1 + one.D @ w
+    through1 = first.C @ x1 + first.D @ w
     into1 = through1 + v / level
     out2 = back2.C @ z2 + back2.D @ v
     into2 = out2 - w / level
-    rows = np.concatenate([
-        one.A @ x1 + one.B @ w, back1.A @ z1 + back1.B @ into1,
-        two.A @ x2 + two.B @ into2, back2.A @ z2 + back2.B @ v,
-        v + two.C @ x2 + two.D @ into2 + through1 / level,
+    rates = [
+        first.A @ x1 + first.B @ w,
+        back1.A @ z1 + back1.B @ into1,
+        second.A @ x2 + second.B @ into2,
+        back2.A @ z2 + back2.B @ v,
+    ]
+    equations = [
+        v + second.C @ x2 + second.D @ into2 + through1 / level,
         w + back1.C @ z1 + back1.D @ into1 - out2 / level,
-    ])  # fmt: skip
-    return _zeros(rows, 2 * (n1 + n2))
+    ]
+    return _zeros(np.concatenate(rates + equations), 2 * (n1 + n2))
 
 
 def _norm_zeros(system: StateSpace, level: float) -> Matrix:
@@ -206,15 +224,15 @@ def _largest(
     best = 0.0
     place = 0.0
     for _ in range(MAX_LEVELS):
-        found = values(tried)
-        if found.max() <= best * (1 + ABOVE):
+        found_values = values(tried)
+        if found_values.max() <= best * (1 + ABOVE):
             break
-        best, place = _polish(values, float(found.max()), float(tried[found.argmax()]))
+        best, place = _polish(values, float(found_values.max()), float(tried[found_values.argmax()]))
         if best >= ceiling:
             break
-        at = zeros(best * (1 + ABOVE))
-        at = np.sort(at.imag[np.abs(at.real) <= NEAR_AXIS * np.abs(at)])
-        tried = np.concatenate([[place], at, 0.5 * (at[1:] + at[:-1])])
+        crossings = zeros(best * (1 + ABOVE))
+        crossings = np.sort(crossings.imag[np.abs(crossings.real) <= NEAR_AXIS * np.abs(crossings)])
+        tried = np.concatenate([[place], crossings, 0.5 * (crossings[1:] + crossings[:-1])])
     return best
 
 
@@ -239,12 +257,12 @@ def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: floa
         if not np.isfinite(middle) or width <= FINE * abs(middle):
             break
         tried = middle + width * NEIGHBOURS
-        found = values(tried)
-        if found.max() > best:
-            best = float(found.max())
-            place = float(tried[found.argmax()])
-        before, at, after = found
-        bend = before - 2 * at + after
+        found_values = values(tried)
+        if found_values.max() > best:
+            best = float(found_values.max())
+            place = float(tried[found_values.argmax()])
+        before, centre, after = found_values
+        bend = before - 2 * centre + after
         step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
         middle += float(np.clip(step, -2.0, 2.0)) * width
         width *= CLOSER if abs(step) < 1 else 1.0
@@ -255,10 +273,10 @@ def beside(frequencies: FloatArray, poles: Matrix) -> FloatArray:
     """The frequencies, moved away from poles on the axis."""
     sizes = np.abs(poles)
     limit = ON_AXIS * max(sizes.max(initial=0.0), 1.0)
-    others = sizes[sizes > limit]
-    off = BESIDE * float(others.min(initial=1.0) if others.size else 1.0)
+    off_axis = sizes[sizes > limit]
+    distance = BESIDE * float(off_axis.min(initial=1.0) if off_axis.size else 1.0)
     moved = frequencies.copy()
     for pole in poles[np.abs(poles.real) <= limit].imag:
-        near = np.abs(moved - pole) < off
-        moved[near] = pole + off
+        near = np.abs(moved - pole) < distance
+        moved[near] = pole + distance
     return moved

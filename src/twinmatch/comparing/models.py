@@ -67,10 +67,11 @@ def operating_level(window: Window, *, driven: bool = False, lead: int = LEAD) -
     level is the mean of the last samples before that change; if not, the mean over the window.
     """
     moving = window.input if driven else window.reference
-    moved = np.flatnonzero(moving != moving[0])
-    step = int(moved[0]) if moved.size else len(window)
+    is_moved = moving != moving[0]
+    step = int(is_moved.argmax()) if is_moved.any() else len(window)
     if not driven:
-        return OperatingLevel(float(moving[0]), float(np.mean(window.input[max(0, step - lead) : step])))
+        newest_before = window.input[max(0, step - lead) : step]
+        return OperatingLevel(float(moving[0]), float(np.mean(newest_before)))
     before = slice(step - lead, step) if step >= lead else slice(None)
     return OperatingLevel(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
 
@@ -111,14 +112,16 @@ def identify(
         FittingError: set-point or input does not move, or there are too few samples.
     """
     r, y, u = deviations(window, operating_level(window, driven=scale is not None, lead=lead))
+    period = window.period
     if scale is not None:
-        ladder = estimate_ladder(u, y, orders, hops=0, period=window.period)
-        return tuple(SimoModel(o, ladder[o], None, scale, lead) for o in orders)
+        ladder = estimate_ladder(u, y, orders, hops=0, period=period)
+        return tuple(SimoModel(order, ladder[order], None, scale, lead) for order in orders)
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
-    with ThreadPoolExecutor(1) as other:
-        u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
-        y_models = estimate_ladder(r, y, orders, hops=0, period=window.period)
-    return tuple(SimoModel(o, y_models[o], u_models.result()[o], lead=lead) for o in orders)
+    with ThreadPoolExecutor(1) as executor:
+        future = executor.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=period)
+        y_models = estimate_ladder(r, y, orders, hops=0, period=period)
+    u_models = future.result()
+    return tuple(SimoModel(order, y_models[order], u_models[order], lead=lead) for order in orders)
 
 
 def twin_response(

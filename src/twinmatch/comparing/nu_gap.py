@@ -100,20 +100,20 @@ def turns(
 ) -> float:
     """Half turns of c along the grid, counter-clockwise; NaN if c passes through zero."""
     total = 0.0
-    at = np.empty(DEPTH + 1)
+    nodes = np.empty(DEPTH + 1)
     values = np.empty(DEPTH + 1, dtype=np.complex128)
-    left = grid[0]
+    low_node = grid[0]
     c_left = inner_product(signed1, signed2, roots1, roots2, grid[0])
     for node in grid[1:]:
-        at[0] = node
+        nodes[0] = node
         values[0] = inner_product(signed1, signed2, roots1, roots2, node)
         waiting = 1
         while waiting:
-            right = at[waiting - 1]
+            high_node = nodes[waiting - 1]
             c_right = values[waiting - 1]
             if min(abs(c_left), abs(c_right)) < ZERO:
                 return math.nan
-            middle = 0.5 * (left + right)
+            middle = 0.5 * (low_node + high_node)
             c = inner_product(signed1, signed2, roots1, roots2, middle)
             bend = CURVATURE * abs(c - 0.5 * (c_left + c_right))
             if min(_clearance(c_left, c), _clearance(c, c_right)) > bend or waiting > DEPTH:
@@ -121,10 +121,11 @@ def turns(
                     ratio = end * c_left.conjugate()
                     total += math.atan2(ratio.imag, ratio.real)
                     c_left = end
-                left = right
+                low_node = high_node
                 waiting -= 1
             else:
-                at[waiting], values[waiting] = middle, c
+                nodes[waiting] = middle
+                values[waiting] = c
                 waiting += 1
     return total / math.pi
 
@@ -156,9 +157,15 @@ def _between(g1: GraphSymbol, g2: GraphSymbol) -> float:
     if g1.column == g2.column:
         return 0.0
     largest, half_turns = _compare(
-        g1.coefficients, g2.coefficients, g1.signed, g2.signed, g1.stack, g2.stack,
-        g1.spectral_roots, g2.spectral_roots,
-    )  # fmt: skip
+        g1.coefficients,
+        g2.coefficients,
+        g1.signed,
+        g2.signed,
+        g1.stack,
+        g2.stack,
+        g1.spectral_roots,
+        g2.spectral_roots,
+    )
     # passing through zero is a distance of 1, which rounding may have left slightly below
     return largest if abs(half_turns) < 0.5 and largest < ALMOST_ONE else 1.0
 
@@ -242,9 +249,9 @@ def _refine_largest(
         after = chordal.exact_distance(signed1, signed2, pair_minors, place + h)
         bend = before - 2 * best + after
         if bend < 0:
-            there = place + min(1.0, max(-1.0, 0.5 * (before - after) / bend)) * h
-            kappa = chordal.exact_distance(signed1, signed2, pair_minors, there)
+            vertex = place + min(1.0, max(-1.0, 0.5 * (before - after) / bend)) * h
+            kappa = chordal.exact_distance(signed1, signed2, pair_minors, vertex)
             if kappa > best:
                 best = kappa
-                place = there
+                place = vertex
     return best

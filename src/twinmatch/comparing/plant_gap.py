@@ -95,12 +95,14 @@ def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: 
     )
     states = run.states[-2]
     inputs = run.inputs[-1]
-    held = finite(np.append(states, inputs))
-    linear = linearised_at(parameters, states, inputs, loop.law.period) if held else None
+    is_finite = finite(np.append(states, inputs))
+    linear = linearised_at(parameters, states, inputs, loop.law.period) if is_finite else None
     if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
-        at = " and ".join(f"{y:g} {of.unit}" for y, of in zip(row, model.plant.outputs.values(), strict=True))
-        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {at}")
+        in_words = " and ".join(
+            f"{y:g} {output.unit}" for y, output in zip(row, model.plant.outputs.values(), strict=True)
+        )
+        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {in_words}")
     return linear
 
 
@@ -137,19 +139,24 @@ def response_slopes(
             moved = value - STEP * declared.scale
         twins.append(parameters.replace(**{name: moved}))
         steps.append(moved - value)
-    response, *others = _responses([linearised_in_loop(twin, set_point, loop) for twin in twins], loop.scales)
+    response, *moved_responses = _responses(
+        [linearised_in_loop(twin, set_point, loop) for twin in twins], loop.scales
+    )
     slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
-    for row, other, step in zip(slopes, others, steps, strict=True):
-        row[:] = (other - response) / step
+    for row, moved_response, step in zip(slopes, moved_responses, steps, strict=True):
+        row[:] = (moved_response - response) / step
     return response, slopes
 
 
 def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex128]:
     """Of each plant, shape (plants, frequencies)."""
-    A, B, C = (np.stack(matrices)[:, None] for matrices in list(zip(*plants, strict=True))[:3])
+    A = np.stack([plant.A for plant in plants])[:, None]
+    B = np.stack([plant.B for plant in plants])[:, None]
+    C = np.stack([plant.C for plant in plants])[:, None]
     poles = np.linalg.eigvals(A)
-    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=2) < _OFF / 10
-    z = np.exp(1j * np.where(singular, ANGLES + _OFF, ANGLES))
+    to_nearest_pole = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=2)
+    angles = np.where(to_nearest_pole < _OFF / 10, ANGLES + _OFF, ANGLES)
+    z = np.exp(1j * angles)
     resolvent = z[:, :, None, None] * np.eye(A.shape[-1]) - A
     states = np.linalg.solve(resolvent, np.broadcast_to(B, (*z.shape, *B.shape[2:])))
     return np.asarray(scales.ratio * (C @ states)[..., 0, 0], dtype=np.complex128)
@@ -157,9 +164,13 @@ def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex12
 
 def spans_of(plant: type[Plant]) -> Scales:
     """Half the span of the set-points and half the drive's range."""
-    outputs = [y.set_points or y.span for y in plant.outputs.values()]
-    inputs = [u.limits for u in plant.drives.values()]
-    return Scales(*(point_of([(high - low) / 2 for low, high in each]) for each in (outputs, inputs)))
+    outputs = [output.set_points or output.span for output in plant.outputs.values()]
+    inputs = [drive.limits for drive in plant.drives.values()]
+    return Scales(_half_ranges(outputs), _half_ranges(inputs))
+
+
+def _half_ranges(ranges: Sequence[tuple[float, float]]) -> OperatingPoint:
+    return point_of([(high - low) / 2 for low, high in ranges])
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +214,8 @@ def plant_gaps(
             left_out.append(str(error))
         else:
             shared.append(point)
-    at = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]
-    return PlantGaps(tuple(shared), at, tuple(left_out))
+    gaps = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]
+    return PlantGaps(tuple(shared), gaps, tuple(left_out))
 
 
 def _gaps_between(symbols: Sequence[GraphSymbol | StateSpace]) -> FloatArray:
@@ -215,10 +226,10 @@ def _gaps_between(symbols: Sequence[GraphSymbol | StateSpace]) -> FloatArray:
     return matrix
 
 
-def _gap(one: GraphSymbol | StateSpace, other: GraphSymbol | StateSpace) -> float:
-    if isinstance(one, StateSpace) and isinstance(other, StateSpace):
-        return matrix_nu_gap(one, other)
-    return nu_gap(one, other)
+def _gap(first: GraphSymbol | StateSpace, second: GraphSymbol | StateSpace) -> float:
+    if isinstance(first, StateSpace) and isinstance(second, StateSpace):
+        return matrix_nu_gap(first, second)
+    return nu_gap(first, second)
 
 
 def plant_gap(

@@ -69,14 +69,19 @@ def product(factors: Iterable[Polynomial]) -> Polynomial:
 
 def trim(column: Column) -> Column:
     """Remove the highest and lowest powers that no polynomial has: common roots at ∞ and at 0."""
-    used = [k for k in range(len(column[0])) if any(p[k] for p in column)]
-    return [p[used[0] : used[-1] + 1] for p in column] if used else column
+    used = _used_powers(column)
+    return [polynomial[used[0] : used[-1] + 1] for polynomial in column] if used else column
 
 
 def trim_top(column: Column) -> Column:
     """Remove the highest powers that no polynomial has: this lowers the degree."""
-    top = max(k for k in range(len(column[0])) if any(p[k] for p in column))
-    return [p[: top + 1] for p in column]
+    top = max(_used_powers(column))
+    return [polynomial[: top + 1] for polynomial in column]
+
+
+def _used_powers(column: Column) -> list[int]:
+    """Powers of which some polynomial has a coefficient."""
+    return [k for k, coefficients in enumerate(zip(*column, strict=True)) if any(coefficients)]
 
 
 def to_half_plane(column: Column) -> Column:
@@ -87,10 +92,15 @@ def to_half_plane(column: Column) -> Column:
     """
     degree = len(column[0]) - 1
     basis = _half_plane_basis(degree)
-    return [
-        [sum(p[k] * basis[k][i] for k in range(degree + 1) if p[k]) for i in range(degree + 1)]
-        for p in column
-    ]
+    mapped = []
+    for polynomial in column:
+        coefficients = [0] * (degree + 1)
+        for coefficient, powers_of_w in zip(polynomial, basis, strict=True):
+            if coefficient:
+                for i, factor in enumerate(powers_of_w):
+                    coefficients[i] += coefficient * factor
+        mapped.append(coefficients)
+    return mapped
 
 
 @functools.lru_cache(maxsize=64)
@@ -192,7 +202,22 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
     b = whole[:order, order:]
     c = whole[order:, :order]
     d = whole[order:, order]
-    # with s = σ/scale, σI − a has integer entries; M[k] are the coefficients of its adjugate
+    # with s = σ/scale, σI − a has integer entries
+    characteristic, adjugate_b = _faddeev_leverrier(a, b)
+    powers = [scale**k for k in range(order + 1)]
+    scaled = [power * coefficient for power, coefficient in zip(powers, characteristic, strict=True)]
+    column = [[scale * coefficient for coefficient in scaled]]
+    for row, direct in zip(c, d, strict=True):
+        numerator = [direct * coefficient for coefficient in scaled]
+        for k in range(order):
+            numerator[k] += int((row @ adjugate_b[k])[0]) * powers[k]
+        column.append(numerator)
+    return column
+
+
+def _faddeev_leverrier(a: Any, b: Any) -> tuple[list[int], list[Any]]:
+    """Coefficients of det(σI − a) and of adj(σI − a)·b in σ, lowest first, in whole numbers."""
+    order = len(a)
     characteristic = [0] * order + [1]
     adjugate_b: list[Any] = [None] * order
     identity = np.array([[int(i == j) for j in range(order)] for i in range(order)], dtype=object)
@@ -202,15 +227,7 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
         m = a @ m
         characteristic[order - k] = -sum(m[i, i] for i in range(order)) // k
         m = m + characteristic[order - k] * identity
-    powers = [scale**k for k in range(order + 1)]
-    scaled = [p * coefficient for p, coefficient in zip(powers, characteristic, strict=True)]
-    column = [[scale * coefficient for coefficient in scaled]]
-    for row, direct in zip(c, d, strict=True):
-        through = [direct * coefficient for coefficient in scaled]
-        for k in range(order):
-            through[k] += int((row @ adjugate_b[k])[0]) * powers[k]
-        column.append(through)
-    return column
+    return characteristic, adjugate_b
 
 
 def _integers(matrix: FloatArray) -> tuple[Any, int]:
@@ -262,7 +279,10 @@ def _frequency(rows: FloatArray) -> float:
     used = np.flatnonzero(size)
     if used.size < 2:
         return 1.0
-    return float(2.0 ** np.round((np.log2(size[used[0]]) - np.log2(size[used[-1]])) / (used[-1] - used[0])))
+    lowest = used[0]
+    highest = used[-1]
+    octaves = (np.log2(size[lowest]) - np.log2(size[highest])) / (highest - lowest)
+    return float(2.0 ** np.round(octaves))
 
 
 def _shares_unstable_root(rows: FloatArray) -> bool:
@@ -293,15 +313,15 @@ def _refine_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArr
     from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
 
     count, width = quotients.shape
-    others = rows.shape[1] - width
-    products = np.vstack([_product_matrix(q, others) for q in quotients])
+    degree = rows.shape[1] - width
+    products = np.vstack([_product_matrix(q, degree) for q in quotients])
     factor = _least_squares(products, rows.ravel())
     for _ in range(STEPS):
         slopes = np.hstack([products, block_diag(*[_product_matrix(factor, width - 1)] * count)])
         step = _least_squares(slopes, rows.ravel() - products @ factor)
-        factor = factor + step[: others + 1]
-        quotients = quotients + step[others + 1 :].reshape(count, width)
-        products = np.vstack([_product_matrix(q, others) for q in quotients])
+        factor = factor + step[: degree + 1]
+        quotients = quotients + step[degree + 1 :].reshape(count, width)
+        products = np.vstack([_product_matrix(q, degree) for q in quotients])
     return quotients, float(np.abs(products @ factor - rows.ravel()).max())
 
 

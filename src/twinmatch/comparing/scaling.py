@@ -88,10 +88,7 @@ def best_scaling(
         DiscriminationError: periods or numbers of signals differ, or a gap or margin has no value.
     """
     p = plant.n_outputs
-    begin = np.concatenate([
-        np.ones(count) if given is None else np.array(given, dtype=np.float64, ndmin=1)
-        for given, count in ((outputs, p), (inputs, plant.n_inputs))
-    ])  # fmt: skip
+    begin = np.concatenate([_units_or_ones(outputs, p), _units_or_ones(inputs, plant.n_inputs)])
 
     def in_units(units: FloatArray) -> Scaling:
         y = units[:p]
@@ -103,8 +100,12 @@ def best_scaling(
     first = in_units(begin)
     if first.margin == 0 or not family:
         return first
-    found = in_units(_climb(_claim_in(plant, family, controller), begin, p))
-    return max(first, found, key=lambda scaling: scaling.claim)
+    climbed = in_units(_climb(_claim_in(plant, family, controller), begin, p))
+    return max(first, climbed, key=lambda scaling: scaling.claim)
+
+
+def _units_or_ones(units: ArrayLike | None, count: int) -> FloatArray:
+    return np.ones(count) if units is None else np.array(units, dtype=np.float64, ndmin=1)
 
 
 def _claim(margin: float, gap: float) -> float:
@@ -117,14 +118,14 @@ def _claim_in(
     plant: StateSpace, family: Sequence[StateSpace], controller: StateSpace
 ) -> Callable[[FloatArray], float]:
     """The claim in given units, from responses on a grid of frequencies."""
-    one, law, *members = half_plane(plant, controller, *family)
-    loop = cast("StateSpace", closed_loop(one, law))  # well posed, since the margin is not 0
-    poles = np.concatenate([np.linalg.eigvals(s.A) for s in (one, *members)])
-    at = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
+    nominal, law, *members = half_plane(plant, controller, *family)
+    loop = cast("StateSpace", closed_loop(nominal, law))  # well posed, since the margin is not 0
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in (nominal, *members)])
+    frequencies = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
     p = plant.n_outputs
-    around = loop.response(at)
-    origin = np.tile(one.response(at), (len(members), 1, 1))
-    to = np.concatenate([member.response(at) for member in members])
+    loop_responses = loop.response(frequencies)
+    nominal_responses = np.tile(nominal.response(frequencies), (len(members), 1, 1))
+    member_responses = np.concatenate([member.response(frequencies) for member in members])
 
     def claim(units: FloatArray) -> float:
         y = units[:p]
@@ -132,9 +133,9 @@ def _claim_in(
         ratio = (u / y[:, None]).astype(np.complex128)
         rows = np.concatenate([y, u])
         columns = np.concatenate([u, y])
-        size = sizes_of(around * (columns / rows[:, None])).max()
-        gap = float(gaps_of(origin * ratio, to * ratio).max())
-        return _claim(min(1.0, 1 / float(size)), gap)
+        norm = float(sizes_of(loop_responses * (columns / rows[:, None])).max())
+        gap = float(gaps_of(nominal_responses * ratio, member_responses * ratio).max())
+        return _claim(min(1.0, 1 / norm), gap)
 
     return claim
 

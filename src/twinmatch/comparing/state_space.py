@@ -108,18 +108,24 @@ class StateSpace:
 
     def scaled(self, outputs: ArrayLike, inputs: ArrayLike) -> StateSpace:
         """The same with outputs and inputs counted in these units, shapes (p,) and (m,); of one a number."""
-        above, below = (np.atleast_1d(np.asarray(each, dtype=np.float64)) for each in (inputs, outputs))
-        below = below[:, None]
-        return StateSpace(self.A, self.B * above, self.C / below, self.D * above / below, self.period)
+        input_units = np.atleast_1d(np.asarray(inputs, dtype=np.float64))
+        output_units = np.atleast_1d(np.asarray(outputs, dtype=np.float64))[:, None]
+        return StateSpace(
+            self.A,
+            self.B * input_units,
+            self.C / output_units,
+            self.D * input_units / output_units,
+            self.period,
+        )
 
     def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:
         """Values of a continuous system at frequencies (rad/s; may be infinite): (frequencies, p, m)."""
         n = len(self.A)
-        at = np.isfinite(frequencies)
+        is_finite = np.isfinite(frequencies)
         values = np.broadcast_to(self.D + 0j, (frequencies.size, *self.D.shape)).copy()
-        if n and at.any():
-            resolvent = 1j * frequencies[at, None, None] * np.eye(n) - self.A
-            values[at] += self.C @ np.linalg.solve(resolvent, self.B[None])
+        if n and is_finite.any():
+            resolvent = 1j * frequencies[is_finite, None, None] * np.eye(n) - self.A
+            values[is_finite] += self.C @ np.linalg.solve(resolvent, self.B[None])
         return values
 
     def minimal(self) -> StateSpace:
@@ -148,7 +154,8 @@ def _of_law(law: Law) -> StateSpace:
     slopes = np.zeros((m + q, q + p))
     code = law.code.copy()
     references = np.zeros((1, law.n_references))
-    code[LOW : LOW + m], code[LOW + m : LOW + 2 * m] = -np.inf, np.inf
+    code[LOW : LOW + m] = -np.inf
+    code[LOW + m : LOW + 2 * m] = np.inf
     of_kernel = law_slopes.py_func  # type: ignore[attr-defined]  # as kernel it has no entrance from Python
     of_kernel(code, np.zeros(q), references, 0, np.zeros(p), np.zeros(m), slopes)
     return StateSpace(slopes[m:, :q], slopes[m:, q:], -slopes[:m, :q], -slopes[:m, q:], law.period)

@@ -152,9 +152,15 @@ def estimates(
 
 @compiled
 def _bisect_scale(  # noqa: PLR0917
-    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, seen: float, most: int,
-    low: float, high: float,
-) -> tuple[float, float]:  # fmt: skip
+    which: NDArray[np.int64],
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    seen: float,
+    most: int,
+    low: float,
+    high: float,
+) -> tuple[float, float]:
     """Interval around the scale above which more than `most` draws give `seen` or more."""
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -173,21 +179,21 @@ def fitting_scales(
 
     The actual estimate is the sum over the pairs of the largest |v|.
     """
-    seen = 0.0
+    estimate = 0.0
     most = 0.0
     for p in which:
-        seen += math.sqrt(a[p].max())
+        estimate += math.sqrt(a[p].max())
         most += math.sqrt(c[p].max())
     draws = b.shape[2]
     rare = int(tail * draws)
     # beyond these limits no draw reaches the actual estimate
-    widest = 2 * most / max(seen, 1e-300)
+    widest = 2 * most / max(estimate, 1e-300)
     low = max(0.0, 1.0 - widest)
     high = 1.0
-    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= seen) > rare:
+    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= estimate) > rare:
         high = 0.0
-    least, _ = _bisect_scale(which, a, b, c, seen, rare, low, high)
-    _, largest = _bisect_scale(which, a, b, c, seen, draws - rare - 1, 1.0, 1.0 + widest)
+    least, _ = _bisect_scale(which, a, b, c, estimate, rare, low, high)
+    _, largest = _bisect_scale(which, a, b, c, estimate, draws - rare - 1, 1.0, 1.0 + widest)
     return least, largest
 
 
@@ -267,8 +273,8 @@ def family_uncertainty(
     family = _Family.of(twins, gaps, loop, seed)
     low = np.zeros((n, n))
     high = np.zeros((n, n))
-    with ThreadPoolExecutor(1) as other:  # the sums are compiled code, which releases the GIL
-        sums = other.submit(lambda: [family.sum_of(k) for k in range(n)])
+    with ThreadPoolExecutor(1) as executor:  # the sums are compiled code, which releases the GIL
+        sums = executor.submit(lambda: [family.sum_of(k) for k in range(n)])
         for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
             low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
     lows, highs, draws = map(np.array, zip(*sums.result(), strict=True))
@@ -293,17 +299,22 @@ class _Family:
     @classmethod
     def of(cls, twins: Sequence[Candidate], gaps: PlantGaps, loop: LoopConditions, seed: int) -> _Family:
         rng = np.random.default_rng(seed)
-        still, moved = zip(*(_directions(twin, gaps.points, loop, rng) for twin in twins), strict=True)
+        still = []
+        moved = []
+        for twin in twins:
+            unperturbed, drawn = _directions(twin, gaps.points, loop, rng)
+            still.append(unperturbed)
+            moved.append(drawn)
         first, second = np.triu_indices(len(twins), 1)
         width = still[0].shape[0]
         a = np.empty((first.size, width))
+        b = np.empty((first.size, width, DRAWS))
         c = np.empty((first.size, width, DRAWS))
-        b = np.empty_like(c)
         fails = np.zeros((first.size, DRAWS), dtype=np.bool_)
         for p, (i, j) in enumerate(zip(first, second, strict=True)):
             a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])
-            pair = (still[i], still[j]), (moved[i], moved[j])
-            fails[p] = failing_draws(a[p], c[p], *pair, gaps.at[:, i, j] == 1)
+            has_failed = gaps.at[:, i, j] == 1
+            fails[p] = failing_draws(a[p], c[p], (still[i], still[j]), (moved[i], moved[j]), has_failed)
         return cls(first, second, gaps.matrix[first, second], a, b, c, fails)
 
     def interval(self, pair: int) -> tuple[float, float]:
@@ -320,20 +331,20 @@ class _Family:
     def sum_of(self, candidate: int) -> tuple[float, float, FloatArray]:
         """Interval of one candidate's sum, and the sum in every draw, shape (draws,); pairs failing the
         winding condition count separately."""
-        own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
-        winding_failed = own[self.gaps[own] == 1]
-        rest = own[self.gaps[own] < 1]
+        pairs = np.flatnonzero((self.first == candidate) | (self.second == candidate))
+        winding_failed = pairs[self.gaps[pairs] == 1]
+        comparable = pairs[self.gaps[pairs] < 1]
         draws = np.zeros(DRAWS)
         for pair in winding_failed:
             draws += self._whole(pair)
         low = float(np.quantile(draws, TAIL))
         high = float(winding_failed.size)
-        if rest.size:
-            total = float(self.gaps[rest].sum())
-            least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
+        if comparable.size:
+            total = float(self.gaps[comparable].sum())
+            least, most = fitting_scales(comparable, self.a, self.b, self.c, TAIL)
             low = low + least * total
-            high = high + min(float(rest.size), most * total)
-            draws += _recentre(self._estimates(rest), total)
+            high = high + min(float(comparable.size), most * total)
+            draws += _recentre(self._estimates(comparable), total)
         return low, high, draws
 
     def distance(self, pair: int) -> FloatArray:
@@ -368,10 +379,11 @@ def _nearer(
     seed: int,
 ) -> FloatArray:
     """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
-    all_twins = [*twins, Candidate("", 0.0, plant, None)]
-    family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, loop), loop, seed)
+    with_plant = [*twins, Candidate("", 0.0, plant, None)]
+    gaps = plant_gaps([twin.parameters for twin in with_plant], points, loop)
+    family = _Family.of(with_plant, gaps, loop, seed)
     to_plant = np.flatnonzero(family.second == 2)
-    return _shares(np.array([family.distance(int(p)) for p in to_plant]))
+    return _shares(np.array([family.distance(int(pair)) for pair in to_plant]))
 
 
 def _directions(
@@ -386,9 +398,13 @@ def _directions(
     draws = rng.standard_normal((DRAWS, len(root))) @ root.T
     if not points:
         return directions(np.zeros(1, np.complex128)), directions(np.zeros((DRAWS, 1), np.complex128))
-    loose = twin.free if len(root) else ()
-    known = [response_slopes(twin.parameters, loose, point, loop) for point in points]
-    response = np.concatenate([response for response, _ in known])
-    moves = draws @ np.hstack([slopes for _, slopes in known])
-    moved = np.asarray(response + moves, dtype=np.complex128)
+    free = twin.free if len(root) else ()
+    responses = []
+    slopes = []
+    for point in points:
+        response_there, slopes_there = response_slopes(twin.parameters, free, point, loop)
+        responses.append(response_there)
+        slopes.append(slopes_there)
+    response = np.concatenate(responses)
+    moved = np.asarray(response + draws @ np.hstack(slopes), dtype=np.complex128)
     return directions(response), directions(moved)

@@ -72,17 +72,17 @@ _BANDS: Final = "its bands hold {} % of the readings"
 
 def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
     """Where the one test fails, by `ForecastScore.doubts`, in words; empty if nowhere."""
-    known = {horizon: doubt for horizon, doubt in doubts.items() if doubt != FEW}
+    proven = {horizon: doubt for horizon, doubt in doubts.items() if doubt != FEW}
     clauses = []
-    for words in dict.fromkeys(doubt.words for doubt in known.values()):
-        held = {horizon: doubt.figure for horizon, doubt in known.items() if doubt.words == words}
-        clauses.append(f"{number_list(held)} s ahead {words.format(number_list(held.values()))}")
+    for words in dict.fromkeys(doubt.words for doubt in proven.values()):
+        figures = {horizon: doubt.figure for horizon, doubt in proven.items() if doubt.words == words}
+        clauses.append(f"{number_list(figures)} s ahead {words.format(number_list(figures.values()))}")
     return ", and ".join(clauses)
 
 
 def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
     """Numbers or texts in a sentence, at least one: 10, 60 and 300."""
-    *first, last = (format(one, "" if isinstance(one, str) else digits) for one in listed)
+    *first, last = (entry if isinstance(entry, str) else format(entry, digits) for entry in listed)
     return f"{', '.join(first)} and {last}" if first else last
 
 
@@ -188,8 +188,8 @@ class ForecastScore:
         better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
         than chance. At horizons that were `trusted` before, the contrary has to be shown.
         """
-        found = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
-        return {horizon: doubt for horizon, doubt in found.items() if doubt is not None}
+        doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
+        return {horizon: doubt for horizon, doubt in doubts.items() if doubt is not None}
 
     def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
@@ -201,7 +201,7 @@ class ForecastScore:
         error, sure = self._behind("arx", k, _TENTH if held else 1.0)
         if error > _TENTH and sure > allowed:
             return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
-        share, number = (each[k] if each else math.nan for each in (self.coverage, self.independent))
+        share, number = (figures[k] if figures else math.nan for figures in (self.coverage, self.independent))
         short = (CONFIDENCE - share) / math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number)
         if short > allowed:
             return Shortfall(_BANDS, f"{100 * share:.0f}", short > _SHOWN)
@@ -359,8 +359,8 @@ class Verdict:
     @property
     def plant(self) -> type[Plant] | None:
         """The plant that was judged; None while nothing was fitted."""
-        known = [*(f.parameters for f in self.forecasts), *(c.parameters for c in self.candidates)]
-        return known[0].model.plant if known else None
+        parameters = [*(f.parameters for f in self.forecasts), *(c.parameters for c in self.candidates)]
+        return parameters[0].model.plant if parameters else None
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
@@ -423,14 +423,14 @@ def judge_uncertainty(
     if nominal not in names:
         return Certainty(tuple(candidates), "")
     chosen = names.index(nominal)
-    every = with_margins(candidates, chosen, loop.law)
-    scored = every[: len(twins)]
+    all_scores = with_margins(candidates, chosen, loop.law)
+    scored = all_scores[: len(twins)]
     if twins[0].parameters.model.plant.single:
         scored = _with_intervals(scored, family_uncertainty(twins, gaps, loop, plant=plant, seed=seed))
     sentences = [_choice(scored, chosen)]
     sentences += [_reach(scored, chosen)] if loop.law is not None else []
     sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
-    return Certainty((*scored, *every[len(twins) :]), "; ".join(sentences))
+    return Certainty((*scored, *all_scores[len(twins) :]), "; ".join(sentences))
 
 
 def _with_intervals(
@@ -503,17 +503,18 @@ def _held_by(
     if centre is None:
         return ((None, None),) * len(twins)
     spans = spans_of(twins[0][0].model.plant)
-    y, u, *_ = best_scaling(
-        centre, [each for each in systems if each], controller, outputs=spans.output, inputs=spans.input
-    )
-    origin = centre.scaled(y, u)
-    scaled = controller.scaled(u, y)
-    return tuple(
-        (matrix_margin(each.scaled(y, u), scaled), matrix_nu_gap(origin, each.scaled(y, u)))
-        if each
-        else (None, None)
-        for each in systems
-    )
+    family = [system for system in systems if system is not None]
+    y, u, *_ = best_scaling(centre, family, controller, outputs=spans.output, inputs=spans.input)
+    scaled_centre = centre.scaled(y, u)
+    scaled_controller = controller.scaled(u, y)
+    figures: list[_Figures] = []
+    for system in systems:
+        if system is None:
+            figures.append((None, None))
+        else:
+            scaled = system.scaled(y, u)
+            figures.append((matrix_margin(scaled, scaled_controller), matrix_nu_gap(scaled_centre, scaled)))
+    return tuple(figures)
 
 
 def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
@@ -534,8 +535,8 @@ def _choice(candidates: Sequence[CandidateScore], chosen: int) -> str:
         return f"{name} is nearest to the whole family"
     if share >= DECIDED_FROM:
         return f"{name} is nominal with probability {_probability(share)}"
-    others = [c for c in candidates if c.name != name]
-    rival = others[int(np.argmax([c.nominal_probability for c in others]))]
+    rivals = [c for c in candidates if c.name != name]
+    rival = rivals[int(np.argmax([c.nominal_probability for c in rivals]))]
     return (
         f"the data do not decide which candidate is nominal: {name} with probability {_probability(share)}, "
         f"{rival.name} with {_probability(rival.nominal_probability)}"

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import chain
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -32,13 +33,15 @@ from twinmatch.controllers.stability import (
     open_question,
     stability_of,
 )
-from twinmatch.dynamics import Law, Parameters, Plant, PlantError, Rest, TwoLevel
+from twinmatch.dynamics import Law, Linear, Parameters, Plant, PlantError, Rest, TwoLevel
 from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
 CONFIDENCE: Final = 0.9
 """Share of the draws within a band."""
+_BAND_QUANTILES: Final = ((1.0 - CONFIDENCE) / 2.0, 0.5, 1.0 - (1.0 - CONFIDENCE) / 2.0)
+"""Probabilities of a band's lower end, median and upper end."""
 MIN_DRAWS: Final = 25
 """Draws of each twin, at least."""
 MAX_SAMPLES: Final = 20_000_000
@@ -100,16 +103,16 @@ class Spread(NamedTuple):
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
         """Of these values; one may be infinite."""
-        below = (1.0 - CONFIDENCE) / 2.0
         row = np.array(values)
         if np.isnan(row).all():
             return cls(math.nan, math.nan, math.nan)
-        ends = np.nanquantile(row, (below, 0.5, 1.0 - below), method="nearest")
-        return cls(*(float(end) for end in ends))
+        low, median, high = np.nanquantile(row, _BAND_QUANTILES, method="nearest").tolist()
+        return cls(low, median, high)
 
     def widened(self, factor: float) -> Spread:
         """With both sides of the band so many times as wide, for a figure that is not negative."""
-        low, high = (self.median + factor * (end - self.median) for end in (self.low, self.high))
+        low = self.median + factor * (self.low - self.median)
+        high = self.median + factor * (self.high - self.median)
         return Spread(max(low, 0.0), self.median, high)
 
 
@@ -159,10 +162,10 @@ class ControllerAnswer:
 
 def operating_points(references: FloatArray) -> tuple[Point, ...]:
     """The distinct set-points of a profile, at most `MAX_POINTS` that are spread over them, and both ends."""
-    every = np.unique(references, axis=0)
-    if len(every) > MAX_POINTS:
-        every = every[np.linspace(0, len(every) - 1, MAX_POINTS).round().astype(int)]
-    return tuple(tuple(row) for row in every.tolist())
+    set_points = np.unique(references, axis=0)
+    if len(set_points) > MAX_POINTS:
+        set_points = set_points[np.linspace(0, len(set_points) - 1, MAX_POINTS).round().astype(int)]
+    return tuple(tuple(row) for row in set_points.tolist())
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable course grows without bound; NaN is unsafe
@@ -186,14 +189,16 @@ def try_controller(
     laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
     reservations = _reservations(plant, question.law)
     progress = _Progress(watch, (1 + len(laws)) * sum(map(len, drawn)))
-    stability, kept, notes = _stabilities(list(zip(members, drawn, strict=True)), points, question, progress)
-    owners = [(members[k], drawn[k]) for k in kept]
+    stability, held_twins, notes = _stabilities(
+        list(zip(members, drawn, strict=True)), points, question, progress
+    )
+    owners = [(members[k], drawn[k]) for k in held_twins]
     courses = [_courses(owners, law, question, progress) for law in laws]
-    names = tuple(members[k].name for k in kept)
+    names = tuple(members[k].name for k in held_twins)
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
     period = question.holding.period
     guarantee = None
-    if stability and all(one.eigenvalue < 1.0 for one in stability):
+    if stability and all(loop.eigenvalue < 1.0 for loop in stability):
         try:
             guarantee = guarantee_of(plant, stability, as_linear(question.law))
         except DiscriminationError as error:
@@ -229,10 +234,11 @@ def _reservations(plant: type[Plant], law: Law) -> list[str]:
         return notes
     linear = as_linear(law)
     for (name, drive), low, high in zip(plant.drives.items(), linear.low, linear.high, strict=True):
-        if low < drive.limits[0] or high > drive.limits[1]:
+        drive_low, drive_high = drive.limits
+        if low < drive_low or high > drive_high:
             notes.append(
                 f"the law's limits of {name}, {low:g} to {high:g} {drive.unit}, are wider than the drive's, "
-                f"{drive.limits[0]:g} to {drive.limits[1]:g}: the drive limits its commands, and the law "
+                f"{drive_low:g} to {drive_high:g}: the drive limits its commands, and the law "
                 "does not know of it"
             )
     return notes
@@ -263,19 +269,19 @@ def _stabilities(
     """
     linear = None if isinstance(question.law, TwoLevel) else as_linear(question.law)
     stability = []
-    kept = []
+    held_twins = []
     notes = []
     for k, (member, drawn) in enumerate(owners):
         progress.step(len(drawn))
         try:
             if linear is not None:
                 stability.append(stability_of(member, linear, points, question.holding, drawn))
-            kept.append(k)
+            held_twins.append(k)
         except PlantError as error:
             notes.append(f"{member.name} is left out: {error}")
-    if not kept:
+    if not held_twins:
         raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
-    return stability, kept, notes
+    return stability, held_twins, notes
 
 
 def _courses(
@@ -334,35 +340,56 @@ def _course(
     references = np.vstack([question.references, np.tile(question.references[-1], (holding.samples, 1))])
     at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
     start = at_rest
-    before = question.before
-    row = member.disturbances
     if member.states is not None and member.inputs is not None:
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
-    noise = np.zeros((len(references), len(model.noise)))
     slow = member.wandering(size, rng)
-    deviations = model.noise if member.noise is None else member.noise
-    noise[:size] = deviations * rng.standard_normal((size, deviations.size))
     if slow is not None:
         slow = np.vstack([slow, np.tile(slow[-1], (holding.samples, 1))])
-    whole = run_law(
-        parameters, law, references, start, before=before, state=question.state, noise=noise, slow=slow,
-        disturbances=row,
-    )  # fmt: skip
-    level = np.tile(question.before, (holding.samples, 1))
-    m = len(model.plant.drives)
-    ranges = np.array([high - low for low, high in (drive.limits for drive in model.plant.drives.values())])
-    still, *loads = (
-        run_law(parameters, law, level, at_rest, before=before, load=load, disturbances=row)
-        for load in (np.zeros(m), *(LOAD * np.diag(ranges)))
+    noise = np.zeros((len(references), len(model.noise)))
+    deviations = model.noise if member.noise is None else member.noise
+    noise[:size] = deviations * rng.standard_normal((size, deviations.size))
+    beyond_profile = run_law(
+        parameters,
+        law,
+        references,
+        start,
+        before=question.before,
+        state=question.state,
+        noise=noise,
+        slow=slow,
+        disturbances=member.disturbances,
     )
-    run = Run(*(rows[:size] for rows in whole))
-    conduct = conduct_of(whole, size, law, model.plant)
+    run = Run(*(rows[:size] for rows in beyond_profile))
+    still, *loads = _runs_at_rest(member, parameters, law, question, at_rest)
+    conduct = conduct_of(beyond_profile, size, law, model.plant)
     return _Course(run, quantities_of(run, still, loads, parameters, law), conduct)
 
 
+def _runs_at_rest(
+    member: TriedTwin, parameters: Parameters, law: Law, question: ControllerQuestion, at_rest: Linear
+) -> list[Run]:
+    """The courses with the set-points held: without a load, and with one at each input in turn."""
+    drives = parameters.model.plant.drives.values()
+    ranges = np.array([drive.limits[1] - drive.limits[0] for drive in drives])
+    level = np.tile(question.before, (question.holding.samples, 1))
+    runs = []
+    for load in (np.zeros(len(drives)), *(LOAD * np.diag(ranges))):
+        runs.append(
+            run_law(
+                parameters,
+                law,
+                level,
+                at_rest,
+                before=question.before,
+                load=load,
+                disturbances=member.disturbances,
+            )
+        )
+    return runs
+
+
 def _band(rows: Sequence[FloatArray]) -> FloatArray:
-    below = (1.0 - CONFIDENCE) / 2.0
-    quantiles = np.quantile(np.array(rows), (below, 0.5, 1.0 - below), axis=0, method="nearest")
+    quantiles = np.quantile(np.array(rows), _BAND_QUANTILES, axis=0, method="nearest")
     return np.asarray(quantiles, dtype=np.float64)
 
 
@@ -374,41 +401,51 @@ def _decide(
     question: ControllerQuestion,
 ) -> tuple[ControllerDecision, str, OpenQuestion | None]:
     """The decision, its sentence, and what is left open."""
-    failing = [one for one in stability if one.fails]
+    failing = [loop for loop in stability if loop.fails]
     if failing:
-        first = max(failing, key=lambda one: one.eigenvalue)
-        where = levels_words(plant, first.point)
-        size = f"{first.eigenvalue:.4f}" if first.eigenvalue < _LARGE else f"{first.eigenvalue:.3g}"
-        why = f"its loop is unstable at {where}: largest eigenvalue {size}"
-        return ControllerDecision.FAILS, _fails(len(failing), names, first.member.name, why), None
-    conduct = _misconduct(names, courses)
-    if conduct is not None and conduct[0] is ControllerDecision.FAILS:
-        return *conduct, None
-    unsure = [one for one in stability if not one.sound]
-    draws = sum(one.eigenvalues.size for one in stability)
+        return ControllerDecision.FAILS, _unstable_words(plant, names, failing), None
+    misconduct = _misconduct(names, courses)
+    if misconduct is not None and misconduct[0] is ControllerDecision.FAILS:
+        return *misconduct, None
+    unsure = [loop for loop in stability if not loop.sound]
     if unsure:
-        first = max(unsure, key=lambda one: one.unstable)
-        unstable = sum(int(np.sum(one.eigenvalues >= 1.0)) for one in stability)
+        draws = sum(loop.eigenvalues.size for loop in stability)
+        unstable = sum(int(np.sum(loop.eigenvalues >= 1.0)) for loop in stability)
         words = f"undecided: unstable in {unstable} of {draws} draws of what the data leave open"
-        if not first.member.free:
+        most_unsure = max(unsure, key=lambda loop: loop.unstable)
+        if not most_unsure.member.free:
             return ControllerDecision.UNDECIDED, words, None
-        asked = open_question(first, question.before.tolist(), question.holding)
-        return ControllerDecision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
-    if conduct is not None:
-        return *conduct, None
-    of = f"{len(names)} of {len(names)} twins"
-    words = f"within the safe range, and switching, on {of}"
-    if stability:
-        worst = max(stability, key=lambda one: one.eigenvalue)
-        every = [margin for one in stability for margin in one.margins]
-        gain = min(m.gain_change for m in every)
-        delay = min(m.delay for m in every)
-        words = (
-            f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
-            f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by "
-            f"{delay:.3g} s"
-        )
-    return ControllerDecision.SAFE, f"safe for all that the data allow: {words}", None
+        asked = open_question(most_unsure, question.before.tolist(), question.holding)
+        words += f"; {open_words(most_unsure.member.parameters, asked)}"
+        return ControllerDecision.UNDECIDED, words, asked
+    if misconduct is not None:
+        return *misconduct, None
+    return ControllerDecision.SAFE, f"safe for all that the data allow: {_safe_words(names, stability)}", None
+
+
+def _unstable_words(plant: type[Plant], names: Sequence[str], failing: Sequence[MemberStability]) -> str:
+    """On which twins a law fails since its loop is unstable, in words."""
+    worst = max(failing, key=lambda loop: loop.eigenvalue)
+    where = levels_words(plant, worst.point)
+    size = f"{worst.eigenvalue:.4f}" if worst.eigenvalue < _LARGE else f"{worst.eigenvalue:.3g}"
+    why = f"its loop is unstable at {where}: largest eigenvalue {size}"
+    return _fails(len(failing), names, worst.member.name, why)
+
+
+def _safe_words(names: Sequence[str], stability: Sequence[MemberStability]) -> str:
+    """How far a law is safe, in words; without stabilities for one that switches."""
+    all_twins = f"{len(names)} of {len(names)} twins"
+    if not stability:
+        return f"within the safe range, and switching, on {all_twins}"
+    draws = sum(loop.eigenvalues.size for loop in stability)
+    eigenvalue = max(loop.eigenvalue for loop in stability)
+    margins = list(chain.from_iterable(loop.margins for loop in stability))
+    gain = min(margin.gain_change for margin in margins)
+    delay = min(margin.delay for margin in margins)
+    return (
+        f"stable on {all_twins} and in {draws} draws of their parameters, largest eigenvalue "
+        f"{eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by {delay:.3g} s"
+    )
 
 
 def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
@@ -419,16 +456,17 @@ def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
 def _misconduct(names: Sequence[str], courses: Courses) -> tuple[ControllerDecision, str] | None:
     """A decision and its sentence if courses do what safe ones never do: on a twin whatever the data leave
     open, or in some draws."""
-    often = None
-    for words, each in courses.misconduct.items():
-        share = {k: float(np.mean(each[courses.owner == k])) for k in np.unique(courses.owner).astype(int)}
-        failing = [k for k in sorted(share) if share[k] >= 1.0 - MAX_UNSTABLE]
+    twins = np.unique(courses.owner).astype(int).tolist()
+    undecided = None
+    for words, is_seen in courses.misconduct.items():
+        shares = {k: float(np.mean(is_seen[courses.owner == k])) for k in twins}
+        failing = [k for k in twins if shares[k] >= 1.0 - MAX_UNSTABLE]
         if failing:
             return ControllerDecision.FAILS, _fails(len(failing), names, names[failing[0]], words)
-        if often is None and max(share.values()) > MAX_UNSTABLE:
-            said = f"undecided: in {int(each.sum())} of {each.size} draws {words}"
-            often = ControllerDecision.UNDECIDED, said
-    return often
+        if undecided is None and max(shares.values()) > MAX_UNSTABLE:
+            sentence = f"undecided: in {int(is_seen.sum())} of {is_seen.size} draws {words}"
+            undecided = ControllerDecision.UNDECIDED, sentence
+    return undecided
 
 
 def levels_words(plant: type[Plant], point: Sequence[float]) -> str:

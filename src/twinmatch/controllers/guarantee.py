@@ -21,6 +21,8 @@ from twinmatch.dynamics import LinearLaw, Plant
 
 MAX_SEARCHED: Final = 24
 """Plants with which units are searched; the gaps are then those to all."""
+_MIDDLE_STRIDE: Final = 4
+"""Every fourth frequency is enough to see which plant is in the middle."""
 
 
 class Guarantee(NamedTuple):
@@ -50,36 +52,44 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     Raises:
         DiscriminationError: a plant or the law has no valid linear model, or a gap or margin has no value.
     """
-    named = [(one.member.name, point, linear) for one in stability for point, linear in one.plants.items()]
-    spaces = [StateSpace.of(linear) for *_, linear in named]
+    names = []
+    points = []
+    systems = []
+    draws = []
+    for loop in stability:
+        for point, linear in loop.plants.items():
+            names.append(loop.member.name)
+            points.append(point)
+            systems.append(StateSpace.of(linear))
+        draws += [StateSpace.of(linear) for linear in loop.others]
     outputs, inputs = spans_of(plant)
-    middle = _middle([space.scaled(outputs, inputs) for space in spaces])
-    name, point, _ = named[middle]
-    origin = spaces[middle]
-    controller = StateSpace.of(law)
-    every = max(len(spaces) // MAX_SEARCHED, 1)
-    found = best_scaling(origin, spaces[::every], controller, outputs=outputs, inputs=inputs)
-    scaled = origin.scaled(found.outputs, found.inputs)
-
-    def largest(systems: Sequence[StateSpace]) -> float:
-        gaps = (matrix_nu_gap(scaled, each.scaled(found.outputs, found.inputs)) for each in systems)
-        return max(gaps, default=0.0)
-
-    drawn = [StateSpace.of(linear) for one in stability for linear in one.others]
-    gap = found.gap if every == 1 else largest(spaces)
-    scaling = found._replace(gap=gap)
-    return Guarantee(name, point, scaling, largest(drawn), len(spaces) + len(drawn))
+    middle = _middle([system.scaled(outputs, inputs) for system in systems])
+    origin = systems[middle]
+    stride = max(len(systems) // MAX_SEARCHED, 1)
+    scaling = best_scaling(origin, systems[::stride], StateSpace.of(law), outputs=outputs, inputs=inputs)
+    if stride > 1:
+        scaling = scaling._replace(gap=_largest_gap(origin, systems, scaling))
+    drawn = _largest_gap(origin, draws, scaling)
+    return Guarantee(names[middle], points[middle], scaling, drawn, len(systems) + len(draws))
 
 
-def _middle(spaces: Sequence[StateSpace]) -> int:
+def _largest_gap(origin: StateSpace, systems: Sequence[StateSpace], scaling: Scaling) -> float:
+    """The largest ν-gap between a system and others, in the units of a scaling."""
+    y = scaling.outputs
+    u = scaling.inputs
+    scaled = origin.scaled(y, u)
+    return max((matrix_nu_gap(scaled, system.scaled(y, u)) for system in systems), default=0.0)
+
+
+def _middle(systems: Sequence[StateSpace]) -> int:
     """Number of the system whose largest pointwise gap to another is smallest."""
-    mapped = half_plane(*spaces)
-    poles = np.concatenate([np.linalg.eigvals(each.A) for each in mapped])
-    at = beside(frequencies_of(poles)[::4], poles)
-    responses = np.array([each.response(at) for each in mapped])
-    size = len(mapped)
-    flat = responses.reshape(-1, *responses.shape[2:])
-    worst = [
-        gaps_of(np.tile(responses[k], (size, 1, 1)), flat).max() for k in range(size)
-    ]  # fmt: skip
-    return int(np.argmin(worst))
+    mapped = half_plane(*systems)
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in mapped])
+    frequencies = beside(frequencies_of(poles)[::_MIDDLE_STRIDE], poles)
+    responses = np.array([system.response(frequencies) for system in mapped])
+    all_responses = responses.reshape(-1, *responses.shape[2:])
+    largest_gaps = []
+    for response in responses:
+        repeated = np.tile(response, (len(mapped), 1, 1))
+        largest_gaps.append(gaps_of(repeated, all_responses).max())
+    return int(np.argmin(largest_gaps))

@@ -66,13 +66,12 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
         raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
     about = _read(_About, document)
     _check_about(about, plant)
-    given = {
-        key: value.tolist() if isinstance(value, np.ndarray) else value
-        for key, value in document.items()
-        if key not in _ABOUT
-    }
-    made = makers[kind](given, plant, period if about.period is None else about.period)
-    return suited(made, plant, period)
+    entries = {}
+    for key, value in document.items():
+        if key not in _ABOUT:
+            entries[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    law = makers[kind](entries, plant, period if about.period is None else about.period)
+    return suited(law, plant, period)
 
 
 def suited(law: Law, plant: type[Plant], period: float) -> Law:
@@ -82,12 +81,12 @@ def suited(law: Law, plant: type[Plant], period: float) -> Law:
         ControllerError: it is for other numbers of signals.
         PlantError: it is for another sample time.
     """
-    sizes = (law.n_outputs, law.n_inputs)
-    of = (len(plant.outputs), len(plant.drives))
-    if sizes != of or law.n_references != of[0]:
+    n_outputs = len(plant.outputs)
+    n_inputs = len(plant.drives)
+    if law.n_outputs != n_outputs or law.n_inputs != n_inputs or law.n_references != n_outputs:
         raise ControllerError(
-            f"is a law for {sizes[0]} outputs, {law.n_references} set-points and {sizes[1]} inputs; plant "
-            f"{plant.name} has {of[0]} outputs ({', '.join(plant.outputs)}) and {of[1]} inputs "
+            f"is a law for {law.n_outputs} outputs, {law.n_references} set-points and {law.n_inputs} inputs; "
+            f"plant {plant.name} has {n_outputs} outputs ({', '.join(plant.outputs)}) and {n_inputs} inputs "
             f"({', '.join(plant.drives)})"
         )
     law.require_period(period)
@@ -97,8 +96,8 @@ def suited(law: Law, plant: type[Plant], period: float) -> Law:
 def pid_document(gains: PidGains) -> dict[str, Any]:
     """The document of a PID."""
     pid = FilteredPid.of(gains)
-    known = {each.name: getattr(pid, each.name) for each in fields(pid)}
-    return {"kind": "pid", "period": gains.period} | known
+    values = {gain.name: getattr(pid, gain.name) for gain in fields(pid)}
+    return {"kind": "pid", "period": gains.period} | values
 
 
 def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGains, ...]:
@@ -111,25 +110,23 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
     law_from(document, plant, period)
     if document.get("kind") != "pid":
         raise ControllerError("is not of kind pid; the controller of a rig runs one PID for each output")
-    given = {key: value for key, value in document.items() if key not in _ABOUT}
-    found = []
-    for pid in _pids(given, plant):
-        plain = FilteredPid.of(
-            gains := PidGains(
-                pid.proportional,
-                pid.integral,
-                pid.derivative,
-                pid.back_calculation,
-                pid.low,
-                pid.high,
-                period,
-                on_measurement=pid.derivative_weight == 0.0,
-            )
+    entries = {key: value for key, value in document.items() if key not in _ABOUT}
+    loops = []
+    for pid in _pids(entries, plant):
+        gains = PidGains(
+            pid.proportional,
+            pid.integral,
+            pid.derivative,
+            pid.back_calculation,
+            pid.low,
+            pid.high,
+            period,
+            on_measurement=pid.derivative_weight == 0.0,
         )
-        if plain != pid:
+        if FilteredPid.of(gains) != pid:
             raise ControllerError("has a filter, weights or an offset; the controller of a rig has none")
-        found.append(gains)
-    return tuple(found)
+        loops.append(gains)
+    return tuple(loops)
 
 
 def _check_about(about: _About, plant: type[Plant]) -> None:
@@ -142,7 +139,7 @@ def _check_about(about: _About, plant: type[Plant]) -> None:
                 f"{key}: {', '.join(named):.200} is not the order of plant {plant.name}; "
                 f"write the law for {', '.join(declared)}"
             )
-    units = {name: each.unit for name, each in (*plant.outputs.items(), *plant.drives.items())}
+    units = {name: signal.unit for name, signal in (*plant.outputs.items(), *plant.drives.items())}
     for name, unit in about.units.items():
         if name not in units:
             raise ControllerError(
@@ -162,20 +159,26 @@ def _arrays(kind: type[msgspec.Struct], given: Mapping[str, Any]) -> dict[str, F
     """The matrices and vectors of a document, without those that it leaves out."""
     arrays = {}
     for key, value in given_keys(_read(kind, given)).items():
-        vector = key in _VECTORS
-        try:
-            array = np.array(value, dtype=np.float64)
-        except ValueError:
-            array = np.zeros(())
-        if not array.ndim or (array.ndim != 2 and not vector):
-            what = "a list" if vector else "a matrix"
-            raise ControllerError(f"{key}: is not {what} of numbers with rows of one length; give one")
+        array = _array(key, value)
         if key not in ("low", "high") and not (np.abs(array) <= GREATEST).all():  # true for NaN, too
             raise ControllerError(
                 f"{key}: has a number that is not finite, or above {GREATEST:g} in size; give others"
             )
-        arrays[key] = array.ravel() if vector else array
+        arrays[key] = array
     return arrays
+
+
+def _array(key: str, value: Any) -> FloatArray:
+    """The matrix or, under some keys, the vector of a document."""
+    is_vector = key in _VECTORS
+    try:
+        array = np.array(value, dtype=np.float64)
+    except ValueError:
+        array = np.zeros(())
+    if not array.ndim or (array.ndim != 2 and not is_vector):
+        shape_word = "a list" if is_vector else "a matrix"
+        raise ControllerError(f"{key}: is not {shape_word} of numbers with rows of one length; give one")
+    return array.ravel() if is_vector else array
 
 
 def _limits(plant: type[Plant], number: int) -> FloatArray:
@@ -218,8 +221,15 @@ def _state_space(given: Mapping[str, Any], plant: type[Plant], period: float) ->
     m, q = arrays["C"].shape
     r = arrays["E"].shape[1]
     low, high = _limits(plant, m)
-    usual = {"F": np.zeros((q, r)), "G": np.zeros((q, m)), "offset": np.zeros(m), "shift": np.zeros(q)}
-    return LinearLaw(**({**usual, "low": low, "high": high} | arrays), period=period)
+    left_out = {
+        "F": np.zeros((q, r)),
+        "G": np.zeros((q, m)),
+        "offset": np.zeros(m),
+        "shift": np.zeros(q),
+        "low": low,
+        "high": high,
+    }
+    return LinearLaw(**(left_out | arrays), period=period)
 
 
 def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
@@ -228,29 +238,52 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     It aims at the states and commands at which the model is at rest on its set-points under the estimated
     disturbances: x⁺ = A·x + B·u + Bd·d, y = C·x + Cd·d; weights Qs of the outputs and Rs of the commands.
     """
-    m = _arrays(_Regulator, given)
-    a, b, c, bd, cd, k = (m[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
-    u0 = m["u0"]
-    y0 = m["y0"]
+    matrices = _arrays(_Regulator, given)
+    A, B, C, Bd, Cd, K = (matrices[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
+    u0 = matrices["u0"]
+    y0 = matrices["y0"]
     try:
-        n = len(a)
-        nd = bd.shape[1]
-        entries = b.shape[1]
-        weight = solve_discrete_are(a, b, c.T @ m["Qs"] @ c, m["Rs"])
-        gain = np.linalg.solve(m["Rs"] + b.T @ weight @ b, b.T @ weight @ a)
-        steady = np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), entries))]])
-        right = np.block([[bd, np.zeros((n, len(c)))], [-cd, np.eye(len(c))]])
-        aims = np.linalg.solve(steady, right)
-        aim = np.asarray(gain @ aims[:n] + aims[n:], dtype=np.float64)
-        model = np.block([[a, bd], [np.zeros((nd, n)), np.eye(nd)]])
-        into = np.vstack([b, np.zeros((nd, entries))])
-        seen = np.hstack([c, cd])
-        low, high = _limits(plant, entries)
+        n = len(A)
+        p = len(C)
+        n_disturbances = Bd.shape[1]
+        m = B.shape[1]
+        cost_to_go = solve_discrete_are(A, B, C.T @ matrices["Qs"] @ C, matrices["Rs"])
+        weights = matrices["Rs"] + B.T @ cost_to_go @ B
+        gain = np.asarray(np.linalg.solve(weights, B.T @ cost_to_go @ A), dtype=np.float64)
+        aim = _aim(matrices, gain)
+        aim_of_disturbances = aim[:, :n_disturbances]
+        aim_of_set_points = aim[:, n_disturbances:]
+        model_A = np.block([[A, Bd], [np.zeros((n_disturbances, n)), np.eye(n_disturbances)]])
+        model_B = np.vstack([B, np.zeros((n_disturbances, m))])
+        model_C = np.hstack([C, Cd])
+        low, high = _limits(plant, m)
         return LinearLaw(
-            A=model - k @ seen, B=k, C=np.hstack([-gain, aim[:, :nd]]), D=np.zeros((entries, len(c))),
-            E=aim[:, nd:],
-            F=np.zeros((n + nd, len(c))), G=into, offset=u0 - aim[:, nd:] @ y0, shift=-k @ y0 - into @ u0,
-            low=m.get("low", low), high=m.get("high", high), period=period,
-        )  # fmt: skip
+            A=model_A - K @ model_C,
+            B=K,
+            C=np.hstack([-gain, aim_of_disturbances]),
+            D=np.zeros((m, p)),
+            E=aim_of_set_points,
+            F=np.zeros((n + n_disturbances, p)),
+            G=model_B,
+            offset=u0 - aim_of_set_points @ y0,
+            shift=-K @ y0 - model_B @ u0,
+            low=matrices.get("low", low),
+            high=matrices.get("high", high),
+            period=period,
+        )
     except (ValueError, IndexError, np.linalg.LinAlgError) as error:
         raise ControllerError(f"regulator: its matrices do not fit together ({error})") from error
+
+
+def _aim(matrices: Mapping[str, FloatArray], gain: FloatArray) -> FloatArray:
+    """How the commands of a regulator depend on disturbances and set-points, shape (m, d + p).
+
+    At rest x = A·x + B·u + Bd·d and r = C·x + Cd·d give x and u; the command is u + gain·x there.
+    """
+    A, B, C, Bd, Cd = (matrices[key] for key in ("A", "B", "C", "Bd", "Cd"))
+    n = len(A)
+    p = len(C)
+    steady = np.block([[np.eye(n) - A, -B], [C, np.zeros((p, B.shape[1]))]])
+    right = np.block([[Bd, np.zeros((n, p))], [-Cd, np.eye(p)]])
+    states_and_inputs = np.linalg.solve(steady, right)
+    return np.asarray(gain @ states_and_inputs[:n] + states_and_inputs[n:], dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -60,15 +60,19 @@ class TriedTwin:
         centre = np.array([self.parameters[name] for name in self.free])
         values, modes = np.linalg.eigh(self.covariance)
         root = modes * np.sqrt(np.maximum(values, 0.0))
-        drawn: list[Parameters] = []
+        draws: list[Parameters] = []
         for _ in range(_ATTEMPTS * number):
             row = centre + root @ rng.standard_normal(centre.size)
-            declared = self.parameters.model.declared
-            if all(declared[name].possible(v) for name, v in zip(self.free, row, strict=True)):
-                drawn.append(self.parameters.replace(**dict(zip(self.free, row.tolist(), strict=True))))
-            if len(drawn) == number:
+            draw = dict(zip(self.free, row.tolist(), strict=True))
+            if self._are_possible(draw):
+                draws.append(self.parameters.replace(**draw))
+            if len(draws) == number:
                 break
-        return drawn
+        return draws
+
+    def _are_possible(self, values: Mapping[str, float]) -> bool:
+        declared = self.parameters.model.declared
+        return all(declared[name].possible(value) for name, value in values.items())
 
     def wandering(self, size: int, rng: np.random.Generator) -> FloatArray | None:
         """What stays unexplained over another time, shape (size, o): a part of the recorded course from a
@@ -76,8 +80,8 @@ class TriedTwin:
         if self.unexplained is None:
             return None
         there_and_back = np.concatenate([self.unexplained, self.unexplained[::-1]])
-        at = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
-        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[at] - there_and_back[at[0]])
+        places = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
+        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[places] - there_and_back[places[0]])
         return path
 
 
@@ -111,13 +115,15 @@ class Holding:
             PlantError: it is not held there within the limits of the drives.
         """
         model = parameters.model
-        held = None
+        rest_point = None
         if self.law is not None and not self._switches:
-            held = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
-        states, inputs = held or rest_at(parameters, levels, disturbances)
+            rest_point = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
+        if rest_point is None:
+            rest_point = rest_at(parameters, levels, disturbances)
+        states, inputs = rest_point
         low, high = self._limits(parameters)
-        finite = bool(np.isfinite(states).all() and np.isfinite(inputs).all())
-        if not finite or not ((low < inputs) & (inputs < high)).all():
+        is_finite = np.isfinite(states).all() and np.isfinite(inputs).all()
+        if not is_finite or not ((low < inputs) & (inputs < high)).all():
             outputs = zip(levels, model.plant.outputs.values(), strict=True)
             where = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
             raise PlantError(f"{model.title}: it is not held at {where} within the limits of its drives")
@@ -134,8 +140,8 @@ class Holding:
             law=self.law,
             disturbances=np.tile(steady, (self.samples, 1)),
         )
-        found = Rest(run.states[-2], run.inputs[-1])
-        limits = self._limits(parameters)
-        near = np.abs(run.outputs[-1] - row) <= _HELD * model.noise
-        limited = (found.inputs <= limits[0]) | (found.inputs >= limits[1])
-        return found if near.all() or limited.any() else None
+        rest_point = Rest(run.states[-2], run.inputs[-1])
+        low, high = self._limits(parameters)
+        is_near = np.abs(run.outputs[-1] - row) <= _HELD * model.noise
+        is_limited = (rest_point.inputs <= low) | (rest_point.inputs >= high)
+        return rest_point if is_near.all() or is_limited.any() else None

@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import permutations, product
+from itertools import pairwise, permutations, product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.optimize import brentq
 from twinmatch.controllers.answer import ControllerAnswer, ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.responses import counted_range, state_holding, taken_by
+from twinmatch.controllers.stability import UNBOUNDED, MemberStability
 from twinmatch.dynamics import (
     Law,
     LinearLaw,
@@ -45,39 +45,63 @@ _NINE_IN_TEN: Final = 1.2816
 ENOUGH: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
 """Expected characters after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
 COURSE: Final = 600
-"""Length of an experiment, s, on a plant with a time constant of 100 s …"""
+"""Length of an experiment, s, on a plant with a time constant of 100 s."""
 MIN_COURSE: Final = 30
+"""Least samples of an experiment."""
 MAX_COURSE: Final = 20_000
-"""… and samples of one, at least and at most."""
+"""Most samples of an experiment."""
 LEAST: Final = 1.0
 """Characters below which a course is not worth its time."""
 _BAND: Final = 1.645
 """Half width of a band that holds nine in ten, standard deviations."""
 _SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Levels of the table, as shares of their range …"""
+"""Levels of the table, as shares of their range."""
 _STEPS: Final = (2, 4, 8)
-"""… and how often a course steps between two of them."""
+"""How often a course of the table steps between two levels."""
 _PLAIN: Final = 0.1
 """Size of a plain step, as a share of the range."""
-_MARKS: Final = 60
-"""Ends of a course that are considered."""
-_FEW: Final = 4
-"""Courses of the table that are tried with all twins …"""
-_POLISHED: Final = 2
-"""… and polished."""
-_MOVES: Final = (0.1, 0.03)
-"""Movements of levels and times in polishing, as shares of their ranges."""
-_WEAKER: Final = 0.8
-"""What a drive does that has become weak, as a share …"""
-_GROWN: Final = 4.0
-"""… and the largest factor by which losses may have grown that leave the same mark: of losses that can do
-less, the drive is as weak as they allow …"""
-_SEEN: Final = 0.9
-"""… unless that is less than a twin is right about."""
-_NEAR: Final = 0.01
-"""Difference of commands that leave the same mark, as a share."""
-_UNSURE: Final = 0.25
-"""Standard deviation of a fault's size, as a share of what it changes."""
+_DIFFERENCE: Final = 0.01
+"""Relative change of a drive's share that gives the derivative by it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Effort:
+    """How much is tried, so that an operator waits for seconds: the whole table with the leaders, then only
+    the best few with all twins, then the best of these with small movements, each half a step of the table or
+    less."""
+
+    marks: int = 60
+    """Ends of a course that are considered."""
+    few: int = 4
+    """Courses of the table that are tried with all twins."""
+    polished: int = 2
+    """How many of these are polished."""
+    movements: tuple[float, ...] = (0.1, 0.03)
+    """Movements of levels and times in polishing, as shares of their ranges."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ConfusedFaults:
+    """A weak drive and grown losses that leave one mark.
+
+    Where losses that have grown to their most need less than the drive lacks, the drive is as weak as they
+    allow, but not so little that a twin which is right could be meant.
+    """
+
+    share: float = 0.8
+    """What a drive does that has become weak, as a share."""
+    growth: float = 4.0
+    """The largest factor by which losses may have grown."""
+    right: float = 0.9
+    """Share of a command about which a twin is right."""
+    near: float = 0.01
+    """Difference of commands that leave the same mark, as a share."""
+    unsure: float = 0.25
+    """Standard deviation of a fault's size, as a share of what it changes."""
+
+
+_EFFORT: Final = _Effort()
+_FAULTS: Final = _ConfusedFaults()
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,21 +145,22 @@ class ExperimentTerms:
             raise ControllerError(
                 f"experiment: {size} samples of {period:g} s; give {MIN_COURSE} to {MAX_COURSE} of them"
             )
-        ends = np.array([counted_range(output) for output in plant.outputs.values()]).T
+        low, high = np.array([counted_range(output) for output in plant.outputs.values()]).T
         if within is not None:
-            ends = np.array([np.maximum(ends[0], within[0]), np.minimum(ends[1], within[1])])
-        if not (ends[0] < ends[1]).all():
+            low = np.maximum(low, within[0])
+            high = np.minimum(high, within[1])
+        if not (low < high).all():
             raise ControllerError(
                 "experiment: the range leaves nothing of the safe one; give LOW below HIGH, inside it"
             )
         if holding.law is None:
             levels = np.array([drive.limits for drive in plant.drives.values()]).T
         else:
-            each = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
-            levels = np.clip(each, *ends)
-            for low, high in [np.transpose(ranges)] if ranges else []:
-                levels = np.clip(levels, low, high)
-        return cls(holding, before, size, levels, ends)
+            spans = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
+            levels = np.clip(spans, low, high)
+            if ranges:
+                levels = np.clip(levels, *np.transpose(ranges))
+        return cls(holding, before, size, levels, np.array([low, high]))
 
 
 class Staircase(NamedTuple):
@@ -152,23 +177,24 @@ class Staircase(NamedTuple):
         """Its levels, sample by sample, shape (N, c); others stay as in `base`, shape (c,)."""
         rows = np.tile(base, (size, 1))
         m = base.size
+        low, high = levels
         for j in range(m) if self.column < 0 else [self.column]:
-            late = round(size * self.ends[0] * j / m) if self.column < 0 else 0
-            ends = np.minimum(np.round(np.multiply(self.ends, size)).astype(int) + late, size)
-            for share, first, last in zip(self.shares, (late, *ends), ends, strict=False):
-                rows[first:last, j] = levels[0, j] + share * (levels[1, j] - levels[0, j])
+            delay = round(size * self.ends[0] * j / m) if self.column < 0 else 0
+            ends = np.minimum(np.round(np.multiply(self.ends, size)).astype(int) + delay, size)
+            for share, first, end in zip(self.shares, (delay, *ends), ends, strict=False):
+                rows[first:end, j] = low[j] + share * (high[j] - low[j])
         return rows
 
     def moved(self, by: float) -> Iterator[Staircase]:
         """The same with one level or time moved by so much, up or down."""
-        for k, way in product(range(len(self.shares)), (by, -by)):
+        for k, movement in product(range(len(self.shares)), (by, -by)):
             shares = list(self.shares)
-            ends = list(self.ends)
-            shares[k] = min(max(shares[k] + way, 0.0), 1.0)
+            shares[k] = min(max(shares[k] + movement, 0.0), 1.0)
             yield self._replace(shares=tuple(shares))
+            ends = list(self.ends)
             if k < len(ends) - 1:
-                ends[k] += way
-                if all(a < b for a, b in zip([0.0, *ends], ends, strict=False)):
+                ends[k] += movement
+                if all(first < end for first, end in pairwise([0.0, *ends])):
                     yield self._replace(ends=tuple(ends))
 
 
@@ -211,9 +237,10 @@ class LearningGoal:
     name: str
     contenders: tuple[Contender, ...]
     pairs: bool = False
-    """Whether the contenders are to be told apart; else the open parameters of each are to be known …"""
+    """Whether the contenders are to be told apart; else the open parameters of each are to be known."""
     directions: tuple[FloatArray, ...] = ()
-    """… or one combination of each: its derivatives by these, shape (n,)."""
+    """If not empty, one combination of each contender's open parameters is to be known: its derivatives by
+    these, shape (n,)."""
 
     def label(self, k: int) -> str:
         """A contender by what it is suspected of."""
@@ -267,25 +294,25 @@ def goal_named(
     """
     if not members:
         raise ControllerError("experiment: there is no twin to predict its courses")
-    for each in ("structure", "parameters") if name is None else (name,):
-        found = GOALS[each](members, terms, answer)
-        if isinstance(found, LearningGoal):
-            return found
-    raise ControllerError(f"experiment: {found}")
+    for goal_name in ("structure", "parameters") if name is None else (name,):
+        goal_or_reason = GOALS[goal_name](members, terms, answer)
+        if isinstance(goal_or_reason, LearningGoal):
+            return goal_or_reason
+    raise ControllerError(f"experiment: {goal_or_reason}")
 
 
 def _structure(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    first = {each.parameters.model.structure_name: Contender(each) for each in reversed(members)}
-    if len(first) < 2:
-        return f"all twins have the structure {next(iter(first))}; choose --for parameters"
-    return LearningGoal("structure", tuple(first.values()), pairs=True)
+    first_twins = {twin.parameters.model.structure_name: Contender(twin) for twin in reversed(members)}
+    if len(first_twins) < 2:
+        return f"all twins have the structure {next(iter(first_twins))}; choose --for parameters"
+    return LearningGoal("structure", tuple(first_twins.values()), pairs=True)
 
 
 def _parameters(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    kept = tuple(Contender(each) for each in members if each.free and each.covariance is not None)
-    return (
-        LearningGoal("parameters", kept) if kept else "no twin leaves a parameter open; record more samples"
-    )
+    contenders = tuple(Contender(twin) for twin in members if twin.free and twin.covariance is not None)
+    if not contenders:
+        return "no twin leaves a parameter open; record more samples"
+    return LearningGoal("parameters", contenders)
 
 
 def _controller(*asked: Any) -> LearningGoal | str:
@@ -295,63 +322,81 @@ def _controller(*asked: Any) -> LearningGoal | str:
         return "--for controller needs the law in question; give --loop FILE"
     contenders = []
     directions = []
-    for one in answer.stability:
-        if not one.sound and one.member.free and len(one.drawn) > len(one.member.free):
-            values = np.array([[drawn[name] for name in one.member.free] for drawn in one.drawn])
-            sizes = np.where(np.isfinite(one.eigenvalues), one.eigenvalues, 2.0)
-            slopes = np.linalg.lstsq(values - values.mean(axis=0), sizes - sizes.mean(), rcond=None)[0]
-            contenders.append(Contender(one.member))
-            directions.append(slopes)
+    for loop in answer.stability:
+        if not loop.sound and loop.member.free and len(loop.drawn) > len(loop.member.free):
+            contenders.append(Contender(loop.member))
+            directions.append(_eigenvalue_slopes(loop))
     if not contenders:
         return f"the law is not undecided for its stability ({answer.sentence})"
     return LearningGoal("controller", tuple(contenders), directions=tuple(directions))
+
+
+def _eigenvalue_slopes(loop: MemberStability) -> FloatArray:
+    """Derivatives of the largest eigenvalue by the open parameters, from the draws, shape (n,)."""
+    rows = []
+    for draw in loop.drawn:
+        rows.append([draw[name] for name in loop.member.free])
+    values = np.array(rows)
+    sizes = np.where(np.isfinite(loop.eigenvalues), loop.eigenvalues, UNBOUNDED)
+    slopes = np.linalg.lstsq(values - values.mean(axis=0), sizes - sizes.mean(), rcond=None)[0]
+    return np.asarray(slopes)
 
 
 def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> LearningGoal | str:
     """A weak drive, and losses that have grown until they need the same command where the plant is held now:
     there they leave one mark."""
     leader = members[0]
-    before = terms.before.tolist()
-    declared = leader.parameters.model.declared
     parameters = leader.parameters
+    declared = parameters.model.declared
+    before = terms.before.tolist()
     lost = next((name for name in leader.free if declared[name].role == "losses"), None)
     if lost is None:
         return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
 
-    def command(factor: float) -> float | None:
-        grown = parameters.replace(**{lost: factor * parameters[lost]})
+    def command(growth: float) -> float | None:
+        """What grown losses need, from rest on; None where they cannot be held."""
+        grown = parameters.replace(**{lost: growth * parameters[lost]})
         try:
-            rest = terms.holding.linear(grown, before).rest
+            rest_point = terms.holding.linear(grown, before).rest
         except PlantError:
             return None
-        return float(rest.inputs[0] - parameters.model.rest[0])
+        return float(rest_point.inputs[0] - parameters.model.rest[0])
 
-    def beyond(factor: float) -> float:
-        found = command(factor)
-        return 1.0 if found is None else found * share / now - 1.0
-
-    now = command(1.0) or 0.0
-    most = command(_GROWN)
-    if not now:
+    usual_command = command(1.0) or 0.0
+    most_command = command(_FAULTS.growth)
+    if not usual_command:
         return f"{leader.name} needs no command at {before}, or is not held there; begin at another level"
-    most_by = math.inf if most is None else most / now
-    if _SEEN * most_by <= 1.0:
+    most_by = math.inf if most_command is None else most_command / usual_command
+    if _FAULTS.right * most_by <= 1.0:
         return (
-            f"at {before} the {_GROWN:g}-fold {lost} needs a command {most_by:.3g} times as large: "
+            f"at {before} the {_FAULTS.growth:g}-fold {lost} needs a command {most_by:.3g} times as large: "
             "a drive weaker than that is not confused with it"
         )
-    share = max(_WEAKER, 1.0 / most_by)
-    factor = _GROWN if share > _WEAKER else float(brentq(beyond, 1.0, _GROWN, xtol=1e-6))
-    if abs(beyond(factor)) > _NEAR:
+    share = max(_FAULTS.share, 1.0 / most_by)
+
+    def excess(growth: float) -> float:
+        """By how much grown losses need more than the weak drive lacks, as a share; 1 where not held."""
+        needed = command(growth)
+        return 1.0 if needed is None else needed * share / usual_command - 1.0
+
+    growth = _FAULTS.growth
+    if share <= _FAULTS.share:
+        growth = float(brentq(excess, 1.0, _FAULTS.growth, xtol=1e-6))
+    if abs(excess(growth)) > _FAULTS.near:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
-    sick = parameters.replace(**{lost: factor * parameters[lost]})
-    known = np.array(
-        leader.covariance if leader.covariance is not None else np.zeros((len(leader.free),) * 2)
-    )
-    known[leader.free.index(lost), leader.free.index(lost)] += (_UNSURE * sick[lost]) ** 2
-    losses = replace(leader, name="grown losses", parameters=sick, covariance=known, states=None)
-    drive = replace(leader, name="weak drive", states=None)
-    return LearningGoal("fault", (Contender(drive, share), Contender(losses)), pairs=True)
+    losses = _with_grown_losses(leader, lost, growth)
+    weak_drive = replace(leader, name="weak drive", states=None)
+    return LearningGoal("fault", (Contender(weak_drive, share), Contender(losses)), pairs=True)
+
+
+def _with_grown_losses(leader: TriedTwin, lost: str, growth: float) -> TriedTwin:
+    """The twin if its losses have grown, by a factor of which one is unsure."""
+    parameters = leader.parameters.replace(**{lost: growth * leader.parameters[lost]})
+    size = len(leader.free)
+    covariance = np.array(np.zeros((size, size)) if leader.covariance is None else leader.covariance)
+    place = leader.free.index(lost)
+    covariance[place, place] += (_FAULTS.unsure * parameters[lost]) ** 2
+    return replace(leader, name="grown losses", parameters=parameters, covariance=covariance, states=None)
 
 
 GOALS: Final[dict[str, Callable[..., LearningGoal | str]]] = {
@@ -380,47 +425,84 @@ def next_experiment(
         ControllerError: no course keeps to the range, or a twin cannot be held where it begins.
     """
     search = _Search(members, goal, terms)
-    table = _staircases(terms)
-    ranked = []
-    for done, each in enumerate(table):
-        curve = search.curve(each, leaders=True)
-        if curve is not None:
-            ranked.append((curve, each))
-        if watch is not None:
-            watch(done, 2 * len(table))
-    ranked.sort(key=lambda one: -one[0][-1])
-    tried: list[tuple[FloatArray, Staircase]] = []
-    for _, each in ranked:
-        curve = search.curve(each)
-        tried += [] if curve is None else [(curve, each)]
-        if len(tried) == _FEW:
-            break
+    ranked = _ranked_by_leaders(search, _staircases(terms), watch)
+    tried = _first_within_range(search, ranked)
     if not tried:
         low, high = terms.outputs
         raise ControllerError(
             f"experiment: no course keeps the bands of every twin within {low.tolist()} to {high.tolist()}; "
             "widen --within, or begin further from its ends"
         )
-    far = sorted(tried, key=lambda one: -one[0][-1])[:_POLISHED]
-    tried += [search.polished(each, curve, lambda row: -row[-1]) for curve, each in far if not goal.pairs]
-    reach = min(NEARLY * max(float(curve.max()) for curve, _ in tried), goal.most)
-    delay = partial(_delay, reach=reach)
-    early = sorted(ranked, key=lambda one: delay(one[0]))[: 2 * _FEW]
-    tried += [(curve, each) for _, each in early if (curve := search.curve(each)) is not None]
-    curve, best = min(tried, key=lambda one: delay(one[0]))
-    curve, best = search.polished(best, curve, delay)
-    most = max(float(curve.max()) for curve, _ in tried)
-    size = int(search.marks[min(_reaching(curve, reach), len(curve) - 1)])
-    course = search.worth("proposed", search.rows(best)[:size])
-    calm = np.tile(search.base, (len(course.rows), 1))
-    for rows in [calm] if running is None else [calm, running]:
-        known = search.worth("proposed", rows)
-        if known.within and known.characters > course.characters - LEAST:
-            course = known
-    others = [
-        search.worth(name, rows) for name, rows in _plain(course.rows, search.base, terms.levels).items()
+    if not goal.pairs:
+        best_tried = sorted(tried, key=_missing_at_end)[: _EFFORT.polished]
+        tried += [search.polished(course, _missing_at_end) for course in best_tried]
+    reach = min(NEARLY * max(float(course.curve.max()) for course in tried), goal.most)
+
+    def delay(course: _RatedCourse) -> float:
+        return _delay(course.curve, reach)
+
+    for early in sorted(ranked, key=delay)[: 2 * _EFFORT.few]:
+        course = search.rated(early.staircase)
+        if course is not None:
+            tried.append(course)
+    best = search.polished(min(tried, key=delay), delay)
+    most = max(float(course.curve.max()) for course in tried)
+    size = int(search.marks[min(_reaching(best.curve, reach), len(best.curve) - 1)])
+    worth = _worth_unless_known(search, search.rows(best.staircase)[:size], running)
+    plain_courses = [
+        search.worth(name, rows) for name, rows in _plain(worth.rows, search.base, terms.levels).items()
     ]
-    return NextExperiment(goal, members[0], terms, course, tuple(others), most)
+    return NextExperiment(goal, members[0], terms, worth, tuple(plain_courses), most)
+
+
+class _RatedCourse(NamedTuple):
+    """A course and the characters that it brings."""
+
+    curve: FloatArray
+    """Characters up to every mark."""
+    staircase: Staircase
+
+
+def _missing_at_end(course: _RatedCourse) -> float:
+    """A cost that is least for the course that brings most in its whole length."""
+    return -float(course.curve[-1])
+
+
+def _ranked_by_leaders(
+    search: _Search, table: Sequence[Staircase], watch: Callable[[int, int], None] | None
+) -> list[_RatedCourse]:
+    """The courses of the table within the range, by what they bring nearly; that of most first."""
+    ranked = []
+    for number, staircase in enumerate(table):
+        course = search.rated(staircase, leaders=True)
+        if course is not None:
+            ranked.append(course)
+        if watch is not None:
+            watch(number, 2 * len(table))
+    return sorted(ranked, key=_missing_at_end)
+
+
+def _first_within_range(search: _Search, ranked: Sequence[_RatedCourse]) -> list[_RatedCourse]:
+    """The first few courses that keep the bands of all twins within the range."""
+    tried: list[_RatedCourse] = []
+    for ranked_course in ranked:
+        course = search.rated(ranked_course.staircase)
+        if course is not None:
+            tried.append(course)
+        if len(tried) == _EFFORT.few:
+            break
+    return tried
+
+
+def _worth_unless_known(search: _Search, rows: FloatArray, running: FloatArray | None) -> CourseWorth:
+    """What a course is worth; or what moving nothing is, or what runs already, if that is hardly less."""
+    best = search.worth("proposed", rows)
+    calm = np.tile(search.base, (len(rows), 1))
+    for alternative_rows in [calm] if running is None else [calm, running]:
+        alternative = search.worth("proposed", alternative_rows)
+        if alternative.within and alternative.characters > best.characters - LEAST:
+            best = alternative
+    return best
 
 
 def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -428,18 +510,19 @@ def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
     search = _Search([found.leader], found.goal, found.terms)
-    each = []
+    end = np.array([len(outputs)])
+    characters = []
     for contender in found.goal.contenders:
         run = search.run(contender, outputs, inputs)
-        whole = _information(run.slopes, np.array([len(outputs)]))
-        if not found.goal.pairs:
-            each.append(_characters_of(whole, len(_root(contender)))[0])
-            continue
-        miss = (outputs - run.outputs) / run.noise
-        pull = np.einsum("ko,koi->i", miss, run.slopes)
-        cost = np.sum(miss**2) - pull @ np.linalg.solve(whole[0], pull)
-        each.append(-_characters_of(whole, 0)[0] - 0.5 * cost / math.log(2.0))
-    return np.array(each)
+        information = _information(run.slopes, end)
+        if found.goal.pairs:
+            miss = (outputs - run.outputs) / run.noise
+            pull = np.einsum("ko,koi->i", miss, run.slopes)
+            cost = np.sum(miss**2) - pull @ np.linalg.solve(information[0], pull)
+            characters.append(-_characters_of(information, 0)[0] - 0.5 * cost / math.log(2.0))
+        else:
+            characters.append(_characters_of(information, len(_root(contender)))[0])
+    return np.array(characters)
 
 
 def _delay(curve: FloatArray, reach: float) -> float:
@@ -455,11 +538,11 @@ def _reaching(curve: FloatArray, reach: float) -> int:
 def _staircases(terms: ExperimentTerms) -> list[Staircase]:
     """The table: every pair of levels, every number of steps, for every set-point or input and for all."""
     count = terms.levels.shape[1]
-    columns = [*range(count), *([-1] if count > 1 else [])]
+    columns = [*range(count), -1] if count > 1 else [0]
     table = [Staircase((share,), (1.0,), column) for share, column in product(_SHARES, columns)]
-    for pair, steps, column in product(permutations(_SHARES, 2), _STEPS, columns):
+    for (first, second), steps, column in product(permutations(_SHARES, 2), _STEPS, columns):
         ends = tuple(((np.arange(steps) + 1) / steps).tolist())
-        table.append(Staircase((*pair,) * (steps // 2), ends, column))
+        table.append(Staircase((first, second) * (steps // 2), ends, column))
     return table
 
 
@@ -468,13 +551,16 @@ def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, 
     more room, a random binary sequence of as much to both sides, nothing."""
     from scipy.signal import max_len_seq  # noqa: PLC0415 — slow to load
 
-    by = _PLAIN * (levels[1] - levels[0])
-    by = np.where(levels[1] - base >= base - levels[0], by, -by)
-    bits = np.resize(np.repeat(max_len_seq(5)[0], max(len(rows) // 31, 1)), len(rows)).astype(bool)
-    binary = np.clip(np.where(bits[:, None], base + by, base - by), *levels)
+    low, high = levels
+    size = _PLAIN * (high - low)
+    step = np.where(high - base >= base - low, size, -size)
+    sequence = max_len_seq(5)[0]
+    repeats = max(len(rows) // sequence.size, 1)
+    is_high = np.resize(np.repeat(sequence, repeats), len(rows)).astype(bool)
+    binary = np.where(is_high[:, None], base + step, base - step)
     return {
-        "step": np.tile(base + by, (len(rows), 1)),
-        "PRBS": binary,
+        "step": np.tile(base + step, (len(rows), 1)),
+        "PRBS": np.clip(binary, low, high),
         "nothing": np.tile(base, (len(rows), 1)),
     }
 
@@ -483,17 +569,19 @@ class _Search:
     def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
         self.goal = goal
         self.terms = terms
-        known = [each.twin for each in goal.contenders]
-        self.others = [Contender(each) for each in members if each not in known]
-        self.family = [Contender(each) for each in members]
-        plant = members[0].parameters.model.plant
+        contending = [contender.twin for contender in goal.contenders]
+        self.others = [Contender(twin) for twin in members if twin not in contending]
+        self.family = [Contender(twin) for twin in members]
         law = terms.holding.law
         if law is not None:
+            plant = members[0].parameters.model.plant
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
-        self.starts = {id(each.twin): _start(each, terms) for each in (*goal.contenders, *self.family)}
+        self.starts = {
+            id(contender.twin): _start(contender, terms) for contender in (*goal.contenders, *self.family)
+        }
         self.base = terms.before if law is not None else self.starts[id(members[0])][1]
-        self.marks = np.unique(np.linspace(1, terms.size, _MARKS).round().astype(int))
+        self.marks = np.unique(np.linspace(1, terms.size, _EFFORT.marks).round().astype(int))
 
     def rows(self, staircase: Staircase) -> FloatArray:
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
@@ -501,111 +589,148 @@ class _Search:
     def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
         """Characters at every mark, of the leaders nearly; None if a band leaves the range."""
         rows = self.rows(staircase)
-        contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
-        runs = [self.run(each, rows) for each in contenders]
-        others = [] if leaders else (self.run(each, rows) for each in self.others)
-        if not all(run.within(self.terms.outputs) for each in (runs, others) for run in each):
+        contenders = self.goal.contenders
+        if leaders and not self.goal.pairs:
+            contenders = contenders[:1]
+        runs = [self.run(contender, rows) for contender in contenders]
+        if not all(run.within(self.terms.outputs) for run in runs):
+            return None
+        if not leaders and not all(self.run(twin, rows).within(self.terms.outputs) for twin in self.others):
             return None
         return self._characters(runs, self.marks, nearly=leaders)
 
-    def polished(
-        self, staircase: Staircase, curve: FloatArray, cost: Callable[[FloatArray], float]
-    ) -> tuple[FloatArray, Staircase]:
-        """The one of least cost that small movements of levels and times lead to."""
-        for by in _MOVES:
-            for moved in staircase.moved(by):
-                found = self.curve(moved)
-                if found is not None and cost(found) < cost(curve):
-                    curve = found
-                    staircase = moved
-        return curve, staircase
+    def rated(self, staircase: Staircase, *, leaders: bool = False) -> _RatedCourse | None:
+        """A course with its curve; None if a band leaves the range."""
+        curve = self.curve(staircase, leaders=leaders)
+        return None if curve is None else _RatedCourse(curve, staircase)
+
+    def polished(self, course: _RatedCourse, cost: Callable[[_RatedCourse], float]) -> _RatedCourse:
+        """The course of least cost that small movements of levels and times lead to."""
+        best = course
+        for movement in _EFFORT.movements:
+            for moved in best.staircase.moved(movement):
+                moved_course = self.rated(moved)
+                if moved_course is not None and cost(moved_course) < cost(best):
+                    best = moved_course
+        return best
 
     def worth(self, name: str, rows: FloatArray) -> CourseWorth:
-        runs = [self.run(each, rows) for each in self.goal.contenders]
+        """What a course brings, shape (N, c), and what it tells of the leader's parameters."""
+        runs = [self.run(contender, rows) for contender in self.goal.contenders]
+        family = tuple(self.run(twin, rows) for twin in self.family)
+        is_within = all(run.within(self.terms.outputs) for run in (*runs, *family))
         end = np.array([len(rows)])
-        family = tuple(self.run(each, rows) for each in self.family)
-        fits = all(run.within(self.terms.outputs) for run in (*runs, *family))
         root = _root(self.family[0])
-        inside = np.linalg.inv(_information(family[0].slopes, end)[0])[: len(root), : len(root)]
-        after = root @ inside @ root.T
+        n = len(root)
+        open_share = np.linalg.inv(_information(family[0].slopes, end)[0])[:n, :n]
+        covariance = root @ open_share @ root.T
         characters = float(self._characters(runs, end)[0])
-        return CourseWorth(name, rows, characters, fits, np.sqrt(np.diag(after)), family)
+        return CourseWorth(name, rows, characters, is_within, np.sqrt(np.diag(covariance)), family)
 
     def run(self, contender: Contender, rows: FloatArray, commands: FloatArray | None = None) -> PredictedRun:
         """A contender over a course, or under these commands."""
         twin = contender.twin
-        states, inputs = self.starts[id(contender.twin)]
-        terms = self.terms
         model = twin.parameters.model
-        period = terms.holding.period
-        steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
-        rest = model.rest
         share = contender.share
-        if commands is None and self.law is not None:
-            law = self.law if share == 1.0 else _weakened(self.law, share, rest)
-            at = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
-            held = state_holding(law, terms.before, at, inputs)
-            run = simulate_closed_loop(
-                twin.parameters, rows, states=states, law=law, controller=held, disturbances=steady
-            )
-            commands = rest + (run.inputs - rest) / share
-        commands = rows if commands is None else commands
+        states, _ = self.starts[id(twin)]
+        steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
+        sent = self._commands(contender, rows, steady) if commands is None else commands
         free = twin.free if twin.covariance is not None else ()
 
-        def under(part: float) -> tuple[FloatArray, FloatArray]:
-            acting = rest + part * (commands - rest)
-            return sensitivities(twin.parameters, free, acting, states, period=period, disturbances=steady)
+        def under(drive_share: float) -> tuple[FloatArray, FloatArray]:
+            """Outputs and their derivatives if the drives do this share of the commands."""
+            acting = model.rest + drive_share * (sent - model.rest)
+            return sensitivities(
+                twin.parameters,
+                free,
+                acting,
+                states,
+                period=self.terms.holding.period,
+                disturbances=steady,
+            )
 
-        noise = model.noise if twin.noise is None else twin.noise
-        outputs, by = under(share)
-        slopes = by @ _root(contender) if free else by
+        outputs, derivatives = under(share)
+        slopes = derivatives @ _root(contender) if free else derivatives
         if share != 1.0:
-            size = (under(share * 1.01)[0] - outputs) / 0.01 * _UNSURE
-            slopes = np.concatenate([slopes, size[:, :, None]], axis=2)
+            moved_outputs = under(share * (1.0 + _DIFFERENCE))[0]
+            by_share = (moved_outputs - outputs) / _DIFFERENCE * _FAULTS.unsure
+            slopes = np.concatenate([slopes, by_share[:, :, None]], axis=2)
+        noise = model.noise if twin.noise is None else twin.noise
         slopes = slopes / noise[:, None]
-        if terms.offset:
-            constant = np.tile(terms.offset * np.eye(noise.size), (len(outputs), 1, 1))
-            slopes = np.concatenate([slopes, constant], axis=2)
-        return PredictedRun(outputs, commands, slopes, noise)
+        if self.terms.offset:
+            by_offset = np.tile(self.terms.offset * np.eye(noise.size), (len(outputs), 1, 1))
+            slopes = np.concatenate([slopes, by_offset], axis=2)
+        return PredictedRun(outputs, sent, slopes, noise)
+
+    def _commands(self, contender: Contender, rows: FloatArray, steady: FloatArray) -> FloatArray:
+        """The commands over a course, shape (N, m): those of the law; without one the course itself."""
+        if self.law is None:
+            return rows
+        twin = contender.twin
+        share = contender.share
+        states, inputs = self.starts[id(twin)]
+        model = twin.parameters.model
+        law = self.law if share == 1.0 else _weakened(self.law, share, model.rest)
+        outputs = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
+        run = simulate_closed_loop(
+            twin.parameters,
+            rows,
+            states=states,
+            law=law,
+            controller=state_holding(law, self.terms.before, outputs, inputs),
+            disturbances=steady,
+        )
+        return np.asarray(model.rest + (run.inputs - model.rest) / share)
 
     def _characters(
         self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool = False
     ) -> FloatArray:
         """What is known at these ends of a course; nearly: a pair is as far apart from either side."""
-        goal = self.goal
-        contenders = self.goal.contenders
-        if goal.pairs:
-            pairs = permutations(range(len(runs)), 2)
-            apart = {
-                (a, b): self._apart(runs[a], contenders[b], marks) for a, b in pairs if a < b or not nearly
-            }
-            apart = {(b, a): each for (a, b), each in apart.items()} | apart
-            nearest = [
-                np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0) for a in range(len(runs))
-            ]
+        if self.goal.pairs:
+            nearest = self._nearest_rivals(runs, marks, nearly=nearly)
             return np.asarray(np.mean(np.minimum(nearest, ENOUGH), axis=0))
-        found = []
-        for k, run in enumerate(runs):
-            whole = _information(run.slopes, marks)
-            root = _root(contenders[k])
-            if not goal.directions:
-                found.append(_characters_of(whole, len(root)))
-                continue
-            way = np.zeros(whole.shape[1])
-            way[: len(root)] = root.T @ goal.directions[k]
-            left = np.linalg.solve(whole, np.tile(way, (len(marks), 1))[:, :, None])[:, :, 0] @ way
-            found.append(0.5 * np.log2(way @ way / left))
-        return np.asarray(np.mean(found, axis=0))
+        learned = [self._learned(k, run, marks) for k, run in enumerate(runs)]
+        return np.asarray(np.mean(learned, axis=0))
+
+    def _nearest_rivals(
+        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool
+    ) -> list[FloatArray]:
+        """Of every contender, the characters that its nearest rival loses."""
+        apart: dict[tuple[int, int], FloatArray] = {}
+        for a, b in permutations(range(len(runs)), 2):
+            if nearly and a > b:
+                apart[a, b] = apart[b, a]
+            else:
+                apart[a, b] = self._apart(runs[a], self.goal.contenders[b], marks)
+        nearest = []
+        for a in range(len(runs)):
+            nearest.append(np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0))
+        return nearest
+
+    def _learned(self, k: int, run: PredictedRun, marks: NDArray[np.int64]) -> FloatArray:
+        """Characters that a course tells of contender number k: of its open parameters, or of the
+        combination that is asked for."""
+        information = _information(run.slopes, marks)
+        root = _root(self.goal.contenders[k])
+        if not self.goal.directions:
+            return _characters_of(information, len(root))
+        direction = np.zeros(information.shape[1])
+        direction[: len(root)] = root.T @ self.goal.directions[k]
+        repeated = np.tile(direction, (len(marks), 1))[:, :, None]
+        left_open = np.linalg.solve(information, repeated)[:, :, 0] @ direction
+        return np.asarray(0.5 * np.log2(direction @ direction / left_open))
 
     def _apart(self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]) -> FloatArray:
         """Characters that a contender's readings cost its rival, fitted to them again, at these ends."""
-        other = self.run(rival, run.outputs, run.inputs)
-        miss = (run.outputs - other.outputs) / other.noise
-        whole = _information(other.slopes, marks)
-        pull = np.cumsum(np.einsum("ko,koi->ki", miss, other.slopes), axis=0)[marks - 1]
-        explained = np.einsum("ki,ki->k", pull, np.linalg.solve(whole, pull[:, :, None])[:, :, 0])
-        costs = np.cumsum(np.sum(miss**2, axis=1))[marks - 1] - explained
-        return np.asarray(0.5 * costs / math.log(2.0))
+        rival_run = self.run(rival, run.outputs, run.inputs)
+        miss = (run.outputs - rival_run.outputs) / rival_run.noise
+        information = _information(rival_run.slopes, marks)
+        by_sample = np.einsum("ko,koi->ki", miss, rival_run.slopes)
+        pull = np.cumsum(by_sample, axis=0)[marks - 1]
+        moved = np.linalg.solve(information, pull[:, :, None])[:, :, 0]
+        explained = np.einsum("ki,ki->k", pull, moved)
+        squares = np.cumsum(np.sum(miss**2, axis=1))[marks - 1]
+        return np.asarray(0.5 * (squares - explained) / math.log(2.0))
 
 
 def _information(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
@@ -616,8 +741,8 @@ def _information(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
 
 def _characters_of(whole: FloatArray, known: int) -> FloatArray:
     """What readings tell of the first parameters, given I + JᵀJ of all, shape (marks, n, n)."""
-    others = whole[:, known:, known:]
-    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(others)[1]) / math.log(2.0))
+    nuisance = whole[:, known:, known:]
+    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(nuisance)[1]) / math.log(2.0))
 
 
 def _root(contender: Contender) -> FloatArray:
@@ -634,22 +759,29 @@ def _start(contender: Contender, terms: ExperimentTerms) -> tuple[FloatArray, Fl
     if twin.states is not None and twin.inputs is not None:
         return twin.states, twin.inputs
     try:
-        rest = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
+        rest_point = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
     except PlantError as error:
         raise ControllerError(f"experiment: {twin.name}: {error}") from error
-    return rest.states, rest.inputs
+    return rest_point.states, rest_point.inputs
 
 
 def _weakened(law: Law, share: float, rest: FloatArray) -> Law:
     """The same law if its drives do a share of what they are given."""
     if isinstance(law, TwoLevel):
-        off, on = (float(rest[0] + share * (level - rest[0])) for level in (law.off, law.on))
+        off = float(rest[0] + share * (law.off - rest[0]))
+        on = float(rest[0] + share * (law.on - rest[0]))
         return replace(law, off=off, on=on)
     assert isinstance(law, LinearLaw)  # noqa: S101 (the search converts)
-    kept = (1.0 - share) * rest
-    changed = {name: share * getattr(law, name) + kept for name in ("offset", "low", "high")}
-    drives = None if law.drives is None else share * law.drives + kept
+    of_rest = (1.0 - share) * rest
     return replace(
-        law, C=share * law.C, D=share * law.D, E=share * law.E, G=law.G / share, drives=drives,
-        shift=law.shift - law.G @ kept / share, **changed,
-    )  # fmt: skip
+        law,
+        C=share * law.C,
+        D=share * law.D,
+        E=share * law.E,
+        G=law.G / share,
+        offset=share * law.offset + of_rest,
+        shift=law.shift - law.G @ of_rest / share,
+        low=share * law.low + of_rest,
+        high=share * law.high + of_rest,
+        drives=None if law.drives is None else share * law.drives + of_rest,
+    )

@@ -38,24 +38,28 @@ def reproduced(
     """
     if isinstance(law, TwoLevel):
         state = state_holding(law, references[0], readings[0], inputs[0])
-        room = np.array(law.on - law.off)
+        ranges = np.array(law.on - law.off)
     else:
         state = _first_state(law, references, readings, inputs)
-        room = law.high - law.low
-    given = commands_of(law.code, state, references, readings)[0]
-    return Reproduction(state, float(np.mean(np.abs(given - inputs) <= _NEAR * np.abs(room))))
+        ranges = law.high - law.low
+    commands = commands_of(law.code, state, references, readings)[0]
+    is_reproduced = np.abs(commands - inputs) <= _NEAR * np.abs(ranges)
+    return Reproduction(state, float(np.mean(is_reproduced)))
 
 
 def _first_state(
     law: LinearLaw, references: FloatArray, readings: FloatArray, inputs: FloatArray
 ) -> FloatArray:
-    some = inputs[: _BEGINNING * law.n_states]
-    limited = np.flatnonzero(((some <= law.low) | (some >= law.high)).any(axis=1))
-    size = int(limited[0]) if limited.size else len(some)
+    """The state with which the first commands within their limits are reproduced best, shape (q,)."""
+    beginning = inputs[: _BEGINNING * law.n_states]
+    is_limited = ((beginning <= law.low) | (beginning >= law.high)).any(axis=1)
+    size = int(is_limited.argmax()) if is_limited.any() else len(beginning)
     zero = np.zeros(law.n_states)
-    rows = [law.C]
+    if not size:
+        return zero
+    powers = [law.C]
     for _ in range(size - 1):
-        rows.append(rows[-1] @ (law.A + law.G @ law.C))
-    forced = commands_of(law.code, zero, references[:size], readings[:size])[0]
-    off = (inputs[:size] - forced).ravel()
-    return np.array(np.linalg.lstsq(np.vstack(rows), off, rcond=_DETERMINED)[0]) if size else zero
+        powers.append(powers[-1] @ (law.A + law.G @ law.C))
+    from_zero = commands_of(law.code, zero, references[:size], readings[:size])[0]
+    of_state = (inputs[:size] - from_zero).ravel()
+    return np.array(np.linalg.lstsq(np.vstack(powers), of_state, rcond=_DETERMINED)[0])

@@ -49,8 +49,8 @@ class Run(NamedTuple):
 def loaded(law: Law, load: FloatArray) -> Law:
     """The same law with a load at the plant's inputs, shape (m,): the plant receives command plus load."""
     if isinstance(law, TwoLevel):
-        by = float(load[0])
-        return replace(law, off=law.off + by, on=law.on + by)
+        step = float(load[0])
+        return replace(law, off=law.off + step, on=law.on + step)
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
     return replace(
         law,
@@ -68,15 +68,18 @@ def taken_by(plant: type[Plant], law: Law) -> Law:
     Raises:
         PlantError: a drive takes none of its commands.
     """
-    low, high = np.array([drive.limits for drive in plant.drives.values()]).T
+    drive_low, drive_high = np.array([drive.limits for drive in plant.drives.values()]).T
     if isinstance(law, TwoLevel):
-        off, on = np.clip((law.off, law.on), low[0], high[0]).tolist()
-        return replace(law, off=off, on=on)
+        levels = np.clip((law.off, law.on), drive_low[0], drive_high[0]).tolist()
+        return replace(law, off=levels[0], on=levels[1])
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
-    taken = np.array([np.maximum(law.low, low), np.minimum(law.high, high)])
-    if not (taken[0] < taken[1]).all():
+    low = np.maximum(law.low, drive_low)
+    high = np.minimum(law.high, drive_high)
+    if not (low < high).all():
         raise PlantError("the law's limits leave nothing of what the drives take; give limits within theirs")
-    return law if np.array_equal(taken, [law.low, law.high]) else replace(law, drives=taken)
+    if np.array_equal(low, law.low) and np.array_equal(high, law.high):
+        return law
+    return replace(law, drives=np.array([low, high]))
 
 
 def limits_of(law: Law) -> FloatArray:
@@ -99,27 +102,39 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
 
     The run is over a profile of `size` samples and, without noise, longer at its last set-points.
     """
-    found: dict[str, bool] = {}
+    conduct: dict[str, bool] = {}
     end = size + 2 * (len(run.outputs) - size) // 3
-    steps = np.abs(np.diff(run.references, axis=0)).max(axis=0, initial=0.0)
     for j, (name, output) in enumerate(plant.outputs.items()):
         y = run.outputs[:, j]
         low, high = counted_range(output)
-        found[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
+        conduct[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
         if isinstance(law, LinearLaw):
-            step = steps[j] or LOAD * np.ptp(output.set_points or output.span)
-            moves = not np.ptp(y[end:]) <= max(SETTLED * step, _SEEN * output.noise)
-            found[f"{name} does not settle after the profile"] = moves
+            settles = _settles(y[end:], run.references[:, j], output)
+            conduct[f"{name} does not settle after the profile"] = not settles
     if isinstance(law, TwoLevel):
-        u = run.inputs[:, 0]
-        away = np.abs(run.outputs[:, 0] - run.references[:, 0])
-        gone = np.ptp(u[size:]) == 0 and away[-1] > away[size]
-        return found | {"it no longer switches": bool(gone or np.ptp(u) == 0)}
-    limited = (run.inputs <= limits_of(law)[0]) | (run.inputs >= limits_of(law)[1])
+        conduct["it no longer switches"] = _stops_switching(run, size)
+        return conduct
+    low_limits, high_limits = limits_of(law)
+    is_limited = (run.inputs <= low_limits) | (run.inputs >= high_limits)
     for i, name in enumerate(plant.drives):
-        most = np.mean(limited[:, i]) > _GREATER or limited[end:, i].all()
-        found[f"{name} is at a limit for the greater part of the time"] = bool(most)
-    return found
+        mostly_limited = np.mean(is_limited[:, i]) > _GREATER or is_limited[end:, i].all()
+        conduct[f"{name} is at a limit for the greater part of the time"] = bool(mostly_limited)
+    return conduct
+
+
+def _settles(last_outputs: FloatArray, references: FloatArray, output: Output) -> bool:
+    """Whether an output hardly moves at the end of a course with these set-points, shape (N,)."""
+    largest_step = np.abs(np.diff(references)).max(initial=0.0)
+    step = largest_step or LOAD * np.ptp(output.set_points or output.span)
+    return bool(np.ptp(last_outputs) <= max(SETTLED * step, _SEEN * output.noise))
+
+
+def _stops_switching(run: Run, size: int) -> bool:
+    """Whether two levels never switch, or not after `size` samples while the output departs."""
+    u = run.inputs[:, 0]
+    distance = np.abs(run.outputs[:, 0] - run.references[:, 0])
+    departs = np.ptp(u[size:]) == 0 and distance[-1] > distance[size]
+    return bool(departs or np.ptp(u) == 0)
 
 
 def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -128,13 +143,14 @@ def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs:
     A law without integral action has none that fits exactly; then the nearest.
     """
     if isinstance(law, TwoLevel):
-        on = float(inputs[0] > 0.5 * (law.off + law.on))
-        return np.array([on, law.least_on + law.least_off, float(outputs[0])])
+        is_on = float(inputs[0] > 0.5 * (law.off + law.on))
+        return np.array([is_on, law.least_on + law.least_off, float(outputs[0])])
     assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
-    known = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
-    given = inputs - law.D @ outputs - law.E @ references - law.offset
+    # u = C·x + D·y + E·r + offset and x = A·x + B·y + F·r + G·u + shift
+    of_command = inputs - law.D @ outputs - law.E @ references - law.offset
+    of_state = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
     rows = np.vstack([law.C, np.eye(law.n_states) - law.A])
-    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([given, known]), rcond=None)[0]
+    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([of_command, of_state]), rcond=None)[0]
     return state
 
 
@@ -163,19 +179,20 @@ def run_law(
     model = parameters.model
     size = len(references)
     row = model.disturbance_row(disturbances)
-    at: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
-    still = np.zeros((size, at.size))
-    shaken, apart = (still if each is None else each for each in (noise, slow))
+    readings: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
+    zeros = np.zeros((size, readings.size))
+    reading_noise = zeros if noise is None else noise
+    distance = zeros if slow is None else slow
     run = simulate_closed_loop(
         parameters,
         references,
         states=begun,
         law=law if load is None else loaded(law, load),
-        controller=state_holding(law, before, at, inputs) if state is None else state,
+        controller=state_holding(law, before, readings, inputs) if state is None else state,
         disturbances=np.tile(row, (size, 1)),
-        sensor=SensorRealisation(shaken + apart, np.zeros(size, dtype=np.bool_), 0.0),
+        sensor=SensorRealisation(reading_noise + distance, np.zeros(size, dtype=np.bool_), 0.0),
     )
-    return Run(references, run.outputs - shaken, run.inputs if load is None else run.inputs - load)
+    return Run(references, run.outputs - reading_noise, run.inputs if load is None else run.inputs - load)
 
 
 class StepFigures(NamedTuple):
@@ -190,16 +207,22 @@ class StepFigures(NamedTuple):
 def step_figures(reference: FloatArray, output: FloatArray, noise: float, period: float) -> StepFigures:
     """Over all steps of a set-point, each until the next one; arrays of shape (N,)."""
     places = np.flatnonzero(np.diff(reference)) + 1
-    beyond = []
+    overshoots = []
     times = []
     for first, last in pairwise([*places, reference.size]):
         step = reference[first] - reference[first - 1]
         error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
-        away = np.flatnonzero(~(np.abs(error) <= max(SETTLED * abs(step), _SEEN * noise)))
-        beyond.append(max(float(error.max()), 0.0))
-        ended = away.size and away[-1] == error.size - 1
-        times.append(math.inf if ended else period * (away[-1] + 1 if away.size else 0))
-    return StepFigures(max(beyond, default=math.nan), max(times, default=math.nan))
+        overshoots.append(max(float(error.max()), 0.0))
+        times.append(period * _samples_to_settle(error, max(SETTLED * abs(step), _SEEN * noise)))
+    return StepFigures(max(overshoots, default=math.nan), max(times, default=math.nan))
+
+
+def _samples_to_settle(error: FloatArray, tolerance: float) -> float:
+    """Samples until an error stays within a tolerance; infinite if it is not there at the end."""
+    is_away = ~(np.abs(error) <= tolerance)  # true for NaN, too
+    if is_away[-1]:
+        return math.inf
+    return float(np.flatnonzero(is_away)[-1] + 1) if is_away.any() else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,47 +240,70 @@ def quantities_of(
 ) -> dict[CourseFigure, float]:
     """All figures of a course over a profile, and of those after a load at each input, beside one without."""
     plant = model_of.model.plant
-    period = law.period
-    found: dict[CourseFigure, float] = {}
-    off = run.outputs - run.references
+    outputs = list(plant.outputs.values())
+    figures: dict[CourseFigure, float] = {}
     with np.errstate(over="ignore", invalid="ignore"):
         for j, (name, output) in enumerate(plant.outputs.items()):
-            steps = step_figures(run.references[:, j], run.outputs[:, j], output.noise, period)
-            found[CourseFigure("mean squared error", name, f"{output.unit}²")] = float(
-                np.mean(off[:, j] ** 2)
-            )
-            found[CourseFigure("overshoot", name, output.unit)] = steps.overshoot
-            found[CourseFigure("settling time", name, "s")] = steps.settling
-            found[CourseFigure("lowest", name, output.unit)] = float(run.outputs[:, j].min())
-            found[CourseFigure("highest", name, output.unit)] = float(run.outputs[:, j].max())
-            for drive, load in zip(plant.drives, loads, strict=True):
-                from_ = "" if len(plant.drives) == 1 else f" at {drive}"
-                worst = float(np.abs(load.outputs[:, j] - still.outputs[:, j]).max())
-                found[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
-        units = {output.unit for output in plant.outputs.values()}
-        if len(plant.outputs) > 1 and len(units) == 1:
-            whole = float(np.mean(np.sum(off**2, axis=1)))
-            found[CourseFigure("mean squared error", "all outputs", f"{units.pop()}²")] = whole
+            figures |= _figures_of_output(run, j, name, output, law.period)
+            for drive_name, load in zip(plant.drives, loads, strict=True):
+                place = "" if len(plant.drives) == 1 else f" at {drive_name}"
+                excursion = CourseFigure(f"excursion after a load{place}", name, output.unit)
+                figures[excursion] = float(np.abs(load.outputs[:, j] - still.outputs[:, j]).max())
+        if len(outputs) > 1 and len({output.unit for output in outputs}) == 1:
+            error_of_all = CourseFigure("mean squared error", "all outputs", f"{outputs[0].unit}²")
+            figures[error_of_all] = _mean_squared_error(run)
         if isinstance(law, TwoLevel):
-            return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
-        for i, (name, declared) in enumerate(plant.drives.items()):
-            u = run.inputs[:, i]
-            low, high = limits_of(law)[:, i]
-            moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
-            found[CourseFigure("travel a minute", name, declared.unit)] = moved
-            limited = float(np.mean((u <= low) | (u >= high)))
-            found[CourseFigure("time at a limit", name, "%")] = 100.0 * limited
-    return found
+            return figures | _cycle(run, outputs[0].unit, law.period)
+        for i, (name, drive) in enumerate(plant.drives.items()):
+            figures |= _figures_of_drive(run.inputs[:, i], limits_of(law)[:, i], name, drive.unit, law.period)
+    return figures
+
+
+def _mean_squared_error(run: Run) -> float:
+    """Sum over the outputs, in the mean over the samples."""
+    errors = run.outputs - run.references
+    return float(np.mean(np.sum(errors**2, axis=1)))
+
+
+def _figures_of_output(
+    run: Run, j: int, name: str, output: Output, period: float
+) -> dict[CourseFigure, float]:
+    """Those of output number j over a profile."""
+    reference = run.references[:, j]
+    y = run.outputs[:, j]
+    steps = step_figures(reference, y, output.noise, period)
+    return {
+        CourseFigure("mean squared error", name, f"{output.unit}²"): float(np.mean((y - reference) ** 2)),
+        CourseFigure("overshoot", name, output.unit): steps.overshoot,
+        CourseFigure("settling time", name, "s"): steps.settling,
+        CourseFigure("lowest", name, output.unit): float(y.min()),
+        CourseFigure("highest", name, output.unit): float(y.max()),
+    }
+
+
+def _figures_of_drive(
+    u: FloatArray, limits: FloatArray, name: str, unit: str, period: float
+) -> dict[CourseFigure, float]:
+    """Those of one command of a linear law, shape (N,), within its limits, shape (2,)."""
+    low, high = limits
+    travel = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
+    share_limited = float(np.mean((u <= low) | (u >= high)))
+    return {
+        CourseFigure("travel a minute", name, unit): travel,
+        CourseFigure("time at a limit", name, "%"): 100.0 * share_limited,
+    }
 
 
 def _cycle(run: Run, unit: str, period: float) -> dict[CourseFigure, float]:
     """Cycle and switching rate of two levels, over the whole course."""
-    on = run.inputs[:, 0] > run.inputs[:, 0].mean()
-    starts = np.flatnonzero(~on[:-1] & on[1:])
+    is_on = run.inputs[:, 0] > run.inputs[:, 0].mean()
+    starts = np.flatnonzero(~is_on[:-1] & is_on[1:])
     cycle = period * float(np.diff(starts).mean()) if starts.size > 1 else math.inf
-    swing = [np.ptp(run.outputs[a:b, 0]) for a, b in pairwise(starts)]
+    swings = [np.ptp(run.outputs[first:last, 0]) for first, last in pairwise(starts)]
+    swing = float(np.median(swings)) if swings else math.nan
+    switchings = 3600.0 / period * float(np.mean(is_on[:-1] != is_on[1:]))
     return {
         CourseFigure("cycle", "", "s"): cycle,
-        CourseFigure("switchings an hour", "", ""): 3600.0 / period * float(np.mean(on[:-1] != on[1:])),
-        CourseFigure("swing of a cycle", "", unit): float(np.median(swing)) if swing else math.nan,
+        CourseFigure("switchings an hour", "", ""): switchings,
+        CourseFigure("swing of a cycle", "", unit): swing,
     }

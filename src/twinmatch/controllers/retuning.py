@@ -107,12 +107,14 @@ def retune(
         )
     tuning = _Tuning(gains, tuple(_cases(twins, gains, level, holding, aim)), aim, max_sensitivity)
     start = np.zeros(len(tuning.names))
-    x = tuning.search(math.log(most_change))
-    before, after = (float(tuning.sensitivities(at).max()) for at in (start, x))
-    improvement = 1.0 - math.exp(tuning.criterion(x) - tuning.criterion(start))
+    best = tuning.search(math.log(most_change))
+    before = float(tuning.sensitivities(start).max())
+    after = float(tuning.sensitivities(best).max())
+    improvement = 1.0 - math.exp(tuning.criterion(best) - tuning.criterion(start))
     ceiling = max_sensitivity * (1 + TOLERANCE)
-    worse = aim == "quiet" and tuning.cost(x)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
-    if after > max(ceiling, before) or (before <= ceiling and (improvement < MIN_GAIN or worse)):
+    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
+    gains_nothing = improvement < MIN_GAIN or is_worse
+    if after > max(ceiling, before) or (before <= ceiling and gains_nothing):
         why = f"there is nothing to gain within M_s ≤ {max_sensitivity:g} and a factor of {most_change:g}"
         return Retuned(gains, gains, aim, 0.0, (before, before), why)
     if before > ceiling:
@@ -120,7 +122,7 @@ def retune(
     else:
         number = len(tuning.cases)
         why = f"{_WORDS[aim]} is {100 * improvement:.0f} % smaller in the mean over {number} twins"
-    return Retuned(gains, tuning.law(x), aim, improvement, (before, after), why)
+    return Retuned(gains, tuning.law(best), aim, improvement, (before, after), why)
 
 
 _WORDS: Final = {
@@ -163,15 +165,19 @@ class _Tuning:
     def sensitivities(self, x: FloatArray) -> FloatArray:
         """M_s of every twin, the largest over its operating points."""
         linear = as_linear(self.law(x))
-        loops = [[WholeLoop(plant, linear) for plant in case.plants] for case in self.cases]
-        return np.array([min(max(loop.sensitivity() for loop in each), MAX_COUNTED) for each in loops])
+        largest = []
+        for case in self.cases:
+            of_plants = [WholeLoop(plant, linear).sensitivity() for plant in case.plants]
+            largest.append(min(max(of_plants), MAX_COUNTED))
+        return np.array(largest)
 
     def cost(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Mean squared error in the mean over the twins, and its derivatives."""
-        now = self._first * np.exp(x)
-        found = [case.cost(now) for case in self.cases]
-        slopes = np.mean([slope for _, slope in found], axis=0)
-        return float(np.mean([value for value, _ in found])), np.asarray(slopes * now, dtype=np.float64)
+        gains = self._first * np.exp(x)
+        costs = [case.cost(gains) for case in self.cases]
+        error = float(np.mean([value for value, _ in costs]))
+        slopes = np.mean([slope for _, slope in costs], axis=0)
+        return error, np.asarray(slopes * gains, dtype=np.float64)
 
     def criterion(self, x: FloatArray) -> float:
         """Logarithm of what is made small."""
@@ -190,7 +196,7 @@ class _Tuning:
         limits = [NonlinearConstraint(self.sensitivities, -np.inf, self.ceiling)]
         if self.aim == "quiet":
             limits.append(NonlinearConstraint(lambda x: [self.cost(x)[0] / origin], -np.inf, 1.0))
-        found = minimize(
+        solution = minimize(
             self.criterion,
             start,
             jac=self._slope,
@@ -199,7 +205,7 @@ class _Tuning:
             constraints=limits,
             options={"maxiter": MAX_STEPS, "ftol": 1e-5},
         )
-        return np.asarray(found.x, dtype=np.float64)
+        return np.asarray(solution.x, dtype=np.float64)
 
 
 def _tuned(gains: PidGains) -> tuple[str, ...]:
@@ -241,9 +247,11 @@ def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim:
     inputs = np.full(size, u)
     if aim == "tracking":
         low, high = model.plant.output.set_points or model.plant.output.span
-        reference[SKIPPED:] += STEP * (high - low) * (1.0 if y < (low + high) / 2 else -1.0)
+        direction = 1.0 if y < (low + high) / 2 else -1.0
+        reference[SKIPPED:] += STEP * (high - low) * direction
     else:
-        load = LOAD * (model.plant.drive.limits[1] - model.plant.drive.limits[0])
+        low, high = model.plant.drive.limits
+        load = LOAD * (high - low)
         inputs -= load if u - load > gains.low else -load
     rows = np.tile(row, (size, 1))
     window = Window(reference, np.full(size, y), inputs, period=gains.period, disturbances=rows)
@@ -257,9 +265,9 @@ def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ..
     output = twin.parameters.model.plant.output
     plants = []
     low, high = output.set_points or output.span
-    for by in (0.0, STEP, -STEP):
+    for shift in (0.0, STEP, -STEP):
         try:
-            plants.append(holding.linear(twin.parameters, [level + by * (high - low)], twin.disturbances))
+            plants.append(holding.linear(twin.parameters, [level + shift * (high - low)], twin.disturbances))
         except PlantError:
             continue  # the drive does not reach that far
     return tuple(plants)

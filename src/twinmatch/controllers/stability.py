@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,8 @@ COMPARED: Final = 2
 """Draws of each twin whose plants are kept, to be compared with others."""
 STEP: Final = 0.1
 """Step of a drive that is suggested, as a share of its range."""
+UNBOUNDED: Final = 2.0
+"""Eigenvalue as which an infinite one counts beside finite ones: unstable, and still with a mean."""
 Point = tuple[float, ...]
 """An operating point: a level for each output."""
 
@@ -81,33 +84,45 @@ def stability_of(
     sizes = {point: loop.eigenvalue for point, loop in loops.items()}
     worst = max(sizes, key=sizes.__getitem__)
     margins = [loop.margins() for loop in loops.values()]
-    each = [(one, _loops(one, law, list(loops), holding, row)[0]) for one in drawn]
-    each = [(one, held) for one, held in each if held] or [(member.parameters, loops)]
+    held_draws = []
+    loops_of_draws = []
+    for draw in drawn:
+        loops_of_draw, _ = _loops(draw, law, list(loops), holding, row)
+        if loops_of_draw:
+            held_draws.append(draw)
+            loops_of_draws.append(list(loops_of_draw.values()))
+    if not held_draws:
+        held_draws = [member.parameters]
+        loops_of_draws = [list(loops.values())]
     return MemberStability(
-        member,
-        sizes[worst],
-        worst,
-        tuple(one for one, _ in each),
-        np.array([max(loop.eigenvalue for loop in held.values()) for _, held in each]),
-        tuple(_least(channel) for channel in zip(*margins, strict=True)),
-        max(loop.sensitivity() for loop in loops.values()),
-        {point: loop.plant for point, loop in loops.items()},
-        tuple(loop.plant for _, held in each[:COMPARED] for loop in held.values()),
+        member=member,
+        eigenvalue=sizes[worst],
+        point=worst,
+        drawn=tuple(held_draws),
+        eigenvalues=np.array([_largest_eigenvalue(loops_of_draw) for loops_of_draw in loops_of_draws]),
+        margins=tuple(_least(channel) for channel in zip(*margins, strict=True)),
+        sensitivity=max(loop.sensitivity() for loop in loops.values()),
+        plants={point: loop.plant for point, loop in loops.items()},
+        others=tuple(loop.plant for loop in chain.from_iterable(loops_of_draws[:COMPARED])),
     )
+
+
+def _largest_eigenvalue(loops: Sequence[WholeLoop]) -> float:
+    return max(loop.eigenvalue for loop in loops)
 
 
 def _loops(
     parameters: Parameters, law: LinearLaw, points: Sequence[Point], holding: Holding, row: FloatArray | None
 ) -> tuple[dict[Point, WholeLoop], str]:
     """The loop at every point at which the plant can be held, and why not at another."""
-    held = {}
+    loops = {}
     error = ""
     for point in points:
         try:
-            held[point] = WholeLoop(holding.linear(parameters, point, row), law)
+            loops[point] = WholeLoop(holding.linear(parameters, point, row), law)
         except PlantError as found:
             error = str(found)
-    return held, error
+    return loops, error
 
 
 def _least(margins: Sequence[ChannelMargins]) -> ChannelMargins:
@@ -133,41 +148,56 @@ class OpenQuestion:
 
 def open_question(found: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
     """The parameter that decides over the draws, and the step after which the outputs show it most."""
-    free = found.member.free
-    drawn = found.drawn
-    values = np.array([[one[name] for name in free] for one in drawn])
-    spread = values.std(axis=0)
-    finite = np.isfinite(found.eigenvalues)
-    sizes = np.where(finite, found.eigenvalues, 2.0)
-    with np.errstate(all="ignore"):
-        moved = (values - values.mean(axis=0)) / spread
-        related = np.nan_to_num(np.abs(moved.T @ (sizes - sizes.mean())))
-    name = free[int(np.argmax(related))]
-    ends = [drawn[int(f(values[:, free.index(name)]))] for f in (np.argmin, np.argmax)]
+    name = _deciding_parameter(found)
+    values = [draw[name] for draw in found.drawn]
     parameters = found.member.parameters
-    shown = {}
-    for drive, declared in parameters.model.plant.drives.items():
-        step = STEP * (declared.limits[1] - declared.limits[0])
-        pair = [parameters.replace(**{name: end[name]}) for end in ends]
-        shown[drive] = (_difference(pair, drive, step, point, holding), step)
-    best = max(shown, key=lambda drive: shown[drive][0])
-    return OpenQuestion(name, best, shown[best][1])
+    lowest = parameters.replace(**{name: min(values)})
+    highest = parameters.replace(**{name: max(values)})
+    steps = {
+        drive: STEP * (declared.limits[1] - declared.limits[0])
+        for drive, declared in parameters.model.plant.drives.items()
+    }
+    differences = {
+        drive: _difference((lowest, highest), drive, step, point, holding) for drive, step in steps.items()
+    }
+    best = max(differences, key=differences.__getitem__)
+    return OpenQuestion(name, best, steps[best])
+
+
+def _deciding_parameter(found: MemberStability) -> str:
+    """Name of the open parameter with which the largest eigenvalue moves most over the draws."""
+    free = found.member.free
+    rows = []
+    for draw in found.drawn:
+        rows.append([draw[name] for name in free])
+    values = np.array(rows)
+    sizes = np.where(np.isfinite(found.eigenvalues), found.eigenvalues, UNBOUNDED)
+    with np.errstate(all="ignore"):
+        deviations = (values - values.mean(axis=0)) / values.std(axis=0)
+        related = np.nan_to_num(np.abs(deviations.T @ (sizes - sizes.mean())))
+    return free[int(np.argmax(related))]
 
 
 def _difference(
-    pair: Sequence[Parameters], drive: str, step: float, point: Sequence[float], holding: Holding
+    pair: tuple[Parameters, Parameters], drive: str, step: float, point: Sequence[float], holding: Holding
 ) -> float:
     """RMS difference of two plants after a step of a drive, in the outputs' noise."""
     model = pair[0].model
     change = np.array([step * (name == drive) for name in model.plant.drives])
-    moves: list[FloatArray] = []
-    for one in pair:
-        states = begin(one, point)
-        runs = (
-            simulate_driven(
-                one, np.tile(model.rest + by, (holding.samples, 1)), states=states, period=holding.period
-            )
-            for by in (0.0 * change, change)
-        )
-        moves.append(np.subtract(*(run.outputs for run in runs)))
-    return float(np.sqrt(np.mean(((moves[0] - moves[1]) / model.noise) ** 2)))
+    first = _movement(pair[0], change, point, holding)
+    second = _movement(pair[1], change, point, holding)
+    return float(np.sqrt(np.mean(((first - second) / model.noise) ** 2)))
+
+
+def _movement(
+    parameters: Parameters, change: FloatArray, point: Sequence[float], holding: Holding
+) -> FloatArray:
+    """How far the outputs are after a change of the inputs from those without it, negated, shape (N, o)."""
+    states = begin(parameters, point)
+    size = holding.samples
+    rest = parameters.model.rest
+    still = simulate_driven(parameters, np.tile(rest, (size, 1)), states=states, period=holding.period)
+    driven = simulate_driven(
+        parameters, np.tile(rest + change, (size, 1)), states=states, period=holding.period
+    )
+    return np.asarray(still.outputs - driven.outputs)

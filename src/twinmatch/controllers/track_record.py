@@ -66,8 +66,10 @@ class LawComparison:
     def off(self) -> float:
         """Distance of the measured cost from the predicted one, in half widths of its band on that side."""
         width = self.high - self.median if self.measured > self.median else self.median - self.low
-        away = abs(self.measured - self.median)
-        return away / width if width > 0 else math.inf if away > 0 else 0.0
+        distance = abs(self.measured - self.median)
+        if width > 0:
+            return distance / width
+        return math.inf if distance > 0 else 0.0
 
     @property
     def inside(self) -> bool:
@@ -93,44 +95,61 @@ def compared(
         seen: whether each sample was recorded, shape (N,).
         noise: standard deviations of the readings, shape (o,).
     """
-    place = seen.astype(bool)
-    errors = (readings - answer.references)[place]
-    outputs = answer.plant.outputs
-    found = [(q, s) for q, s in answer.courses.figures.items() if q.name == COST]
-    quantity, spread = found[-1]  # that of all outputs follows those of each
-    of = [j for j, name in enumerate(outputs) if quantity.signal in {name, "all outputs"}]
-    low, median, high = answer.courses.outputs[:, place]
-    room = _NORMAL * noise
-    below, above = (np.hypot(end - median, room) for end in (low, high))
-    inside = (readings[place] >= median - below) & (readings[place] <= median + above)
-    steps = np.abs(np.diff(answer.references, axis=0)).max(axis=0, initial=0.0)
-    spans = np.array([np.ptp(output.set_points or output.span) for output in outputs.values()])
-    largest = np.max([steps, np.abs(errors[0]), LOAD * spans], axis=0)
-    safe = np.array([output.safe for output in outputs.values()]).T
-    last = np.abs(errors[-(len(errors) // 3) :])
-    within = (readings[place] > safe[0]) & (readings[place] < safe[1])
+    is_seen = seen.astype(bool)
+    recorded = readings[is_seen]
+    errors = recorded - answer.references[is_seen]
+    costs = [(figure, spread) for figure, spread in answer.courses.figures.items() if figure.name == COST]
+    cost, spread = costs[-1]  # that of all outputs follows those of each
+    columns = [j for j, name in enumerate(answer.plant.outputs) if cost.signal in {name, "all outputs"}]
+    of_noise = noise[columns] ** 2
+    measured = float(np.sum(np.mean(errors[:, columns] ** 2, axis=0) - of_noise))
+    predicted = answer.courses.outputs[:, is_seen]
+    predicted_errors = predicted[1] - answer.references[is_seen]
     return {
-        "signal": quantity.signal,
-        "unit": quantity.unit,
+        "signal": cost.signal,
+        "unit": cost.unit,
         **spread._asdict(),
-        "measured": max(float(np.sum(np.mean(errors[:, of] ** 2, axis=0) - noise[of] ** 2)), 0.0),
-        "share": float(np.mean(inside)),
-        "stable": bool(within.all() and (last <= _HELD * largest).all()),
+        "measured": max(measured, 0.0),
+        "share": _share_in_bands(recorded, predicted, noise),
+        "stable": _was_stable(answer, recorded, errors),
         "error": float(np.abs(errors).max()),
-        "predicted_error": float(np.abs(median - answer.references[place]).max()),
+        "predicted_error": float(np.abs(predicted_errors).max()),
         "decision": answer.decision.value,
     }
+
+
+def _share_in_bands(recorded: FloatArray, predicted: FloatArray, noise: FloatArray) -> float:
+    """Share of readings, shape (N, o), within low, median and high of the outputs, shape (3, N, o), widened
+    by their noise."""
+    low, median, high = predicted
+    room = _NORMAL * noise
+    below = np.hypot(low - median, room)
+    above = np.hypot(high - median, room)
+    return float(np.mean((recorded >= median - below) & (recorded <= median + above)))
+
+
+def _was_stable(answer: ControllerAnswer, recorded: FloatArray, errors: FloatArray) -> bool:
+    """Whether readings stayed where it is safe and, in the last third, near the set-points; both (N, o)."""
+    outputs = answer.plant.outputs.values()
+    steps = np.abs(np.diff(answer.references, axis=0)).max(axis=0, initial=0.0)
+    spans = np.array([np.ptp(output.set_points or output.span) for output in outputs])
+    largest = np.max([steps, np.abs(errors[0]), LOAD * spans], axis=0)
+    last_errors = np.abs(errors[-(len(errors) // 3) :])
+    safe_low, safe_high = np.array([output.safe for output in outputs]).T
+    is_safe = (recorded > safe_low) & (recorded < safe_high)
+    return bool(is_safe.all() and (last_errors <= _HELD * largest).all())
 
 
 def widening_of(comparisons: Iterable[LawComparison]) -> tuple[float, int]:
     """The factor on the half widths of predicted costs that these comparisons show to be needed, 1 or more;
     and on how many of them it rests: those with a finite band, of laws that were not to fail."""
-    fails = ControllerDecision.FAILS.value
-    off = sorted(one.off for one in comparisons if one.decision != fails and math.isfinite(one.off))
-    if len(off) < MIN_COMPARISONS:
-        return 1.0, len(off)
-    rank = min(math.ceil(CONFIDENCE * (len(off) + 1)), len(off))
-    return max(off[rank - 1], 1.0), len(off)
+    tried = [law for law in comparisons if law.decision != ControllerDecision.FAILS.value]
+    distances = sorted(law.off for law in tried if math.isfinite(law.off))
+    number = len(distances)
+    if number < MIN_COMPARISONS:
+        return 1.0, number
+    rank = min(math.ceil(CONFIDENCE * (number + 1)), number)
+    return max(distances[rank - 1], 1.0), number
 
 
 def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> ControllerAnswer:
@@ -148,5 +167,8 @@ def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> C
 
 
 def _wider(courses: Courses, factor: float) -> Courses:
-    figures = {q: s if q.name != COST else s.widened(factor) for q, s in courses.figures.items()}
+    figures = {
+        figure: spread.widened(factor) if figure.name == COST else spread
+        for figure, spread in courses.figures.items()
+    }
     return replace(courses, figures=figures)

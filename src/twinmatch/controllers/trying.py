@@ -19,9 +19,9 @@ from twinmatch.dynamics import Law
 from twinmatch.signals import FloatArray
 
 _WIDER: Final = 1.5
-"""Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does …"""
+"""Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does."""
 _NOISE: Final = 8.0
-"""… and what is added on both sides, in the outputs' noise: what a sensor does not resolve."""
+"""What is added to the bands on both sides, in the outputs' noise: what a sensor does not resolve."""
 _STILL: Final = 10.0
 """How far outputs may still move under the law that runs before another is tried, in their noise."""
 DRAWS: Final = 80
@@ -51,11 +51,12 @@ def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: Fl
         raise ControllerError("controller: the law that runs is not known, so none could be given back")
     references = np.tile(before, (holding.samples, 1))
     answer = try_controller(members, ControllerQuestion(law, references, before, holding, DRAWS))
-    safe = answer.decision is ControllerDecision.SAFE
-    moving = np.ptp(answer.running.outputs[1], axis=0) if answer.running else np.zeros(before.size)
-    if (moving > _STILL * members[0].parameters.model.noise).any():
+    noise = members[0].parameters.model.noise
+    running = answer.running
+    if running is not None and (np.ptp(running.outputs[1], axis=0) > _STILL * noise).any():
         raise ControllerError("controller: the outputs have not settled yet; wait until they rest")
-    courses = answer.courses if safe or answer.running is None else answer.running
-    low, middle, high = courses.outputs
-    half = _WIDER * np.maximum(high - middle, middle - low) + _NOISE * members[0].parameters.model.noise
-    return TrialAnswer(answer, middle - half, middle + half)
+    is_safe = answer.decision is ControllerDecision.SAFE
+    courses = answer.courses if is_safe or running is None else running
+    low, median, high = courses.outputs
+    half = _WIDER * np.maximum(high - median, median - low) + _NOISE * noise
+    return TrialAnswer(answer, median - half, median + half)

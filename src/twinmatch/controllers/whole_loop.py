@@ -137,8 +137,8 @@ def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
     for value in eigenvalues[eigenvalues.imag > 0]:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)
-    every = np.unique(np.concatenate(grid))
-    return np.asarray(every[(every >= 0) & (every <= np.pi)], dtype=np.float64)
+    all_frequencies = np.unique(np.concatenate(grid))
+    return np.asarray(all_frequencies[(all_frequencies >= 0) & (all_frequencies <= np.pi)], dtype=np.float64)
 
 
 def _margins(
@@ -146,22 +146,35 @@ def _margins(
 ) -> ChannelMargins:
     """From the frequencies at which the closed loop's response is real, both ends among them, and those at
     which the opened one's has size 1."""
-    real = [closed(w) for w in _crossings(grid, values.imag, lambda w: closed(w).imag)]
-    ends = complex(values[0].real), complex(values[-1].real)
-    gains = [1.0 + 1.0 / at.real for at in (*real, *ends) if at.real != 0.0]
-
-    def size(at: Any) -> Any:
-        return np.abs(at) - np.abs(1.0 + at)
-
-    crossed = _crossings(grid, size(values), lambda w: float(size(closed(w))))
-    found = [(w, closed(w)) for w in crossed]
-    delays = [(float(np.angle(at / (1.0 + at))) % (2 * np.pi)) / w for w, at in found]
+    gains = _critical_gains(closed, grid, values)
     return ChannelMargins(
-        max((k for k in gains if LEAST_GAIN < k < 1.0), default=0.0),
-        min((k for k in gains if k > 1.0), default=math.inf),
-        min(delays, default=math.inf) * period,
-        _sensitivity(closed, grid, values),
+        gain_down=max((gain for gain in gains if LEAST_GAIN < gain < 1.0), default=0.0),
+        gain_up=min((gain for gain in gains if gain > 1.0), default=math.inf),
+        delay=min(_critical_delays(closed, grid, values), default=math.inf) * period,
+        sensitivity=_sensitivity(closed, grid, values),
     )
+
+
+def _critical_gains(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+    """Factors k = 1 + 1/L on the gain with which an eigenvalue is on the unit circle."""
+    crossings = _crossings(grid, values.imag, lambda w: closed(w).imag)
+    real_parts = [closed(w).real for w in crossings]
+    real_parts += [float(values[0].real), float(values[-1].real)]
+    return [1.0 + 1.0 / real for real in real_parts if real != 0.0]
+
+
+def _critical_delays(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+    """Dead times, in samples, with which an eigenvalue is on the unit circle: T = L/(1 + L) has size 1."""
+
+    def excess(response: Any) -> Any:
+        return np.abs(response) - np.abs(1.0 + response)
+
+    delays = []
+    for w in _crossings(grid, excess(values), lambda w: float(excess(closed(w)))):
+        response = closed(w)
+        lag = float(np.angle(response / (1.0 + response))) % (2 * np.pi)
+        delays.append(lag / w)
+    return delays
 
 
 def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], float]) -> list[float]:
@@ -172,9 +185,12 @@ def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], fl
 
 
 def _sensitivity(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> float:
-    k = int(np.argmax(np.abs(1.0 + values)))
-    ends = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
-    near = minimize_scalar(
-        lambda w: -abs(1.0 + closed(w)), bounds=ends, method="bounded", options={"xatol": 1e-9}
+    """The largest |1 + L|: the largest on the grid, or the top of the peak around it."""
+    sizes = np.abs(1.0 + values)
+    k = int(np.argmax(sizes))
+    low = grid[max(k - 1, 0)]
+    high = grid[min(k + 1, grid.size - 1)]
+    top = minimize_scalar(
+        lambda w: -abs(1.0 + closed(w)), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
     )
-    return max(-float(near.fun), float(np.abs(1.0 + values[k])))
+    return max(-float(top.fun), float(sizes[k]))

@@ -195,9 +195,18 @@ def _read(
 
 @compiled(inside=True)
 def _correct_traces(
-    fixed: BankConstants, traces: ChangeTraces, begin: int, end: int, r: Reading, i: int, slope: FloatArray,
-    lost: FloatArray, off: float, expected: float, usual: float,
-) -> None:  # fmt: skip
+    fixed: BankConstants,
+    traces: ChangeTraces,
+    begin: int,
+    end: int,
+    r: Reading,
+    i: int,
+    slope: FloatArray,
+    lost: FloatArray,
+    off: float,
+    expected: float,
+    usual: float,
+) -> None:
     """Correct the traces of a member as its mean is, by `lost` times what of them shows in output i, and
     learn the sizes of the changes; `usual` is the log-probability without any."""
     least = _SHOWS * (expected + r.noise[i] * r.noise[i])
@@ -213,8 +222,8 @@ def _correct_traces(
         if a * a * (mean * mean + variance) < least:
             traces.now[t] += usual
             continue
-        found, moves, goes = _read(fixed, r, i, off - a * mean, expected + a * a * variance)
-        traces.now[t] += found
+        shift, moves, goes = _read(fixed, r, i, off - a * mean, expected + a * a * variance)
+        traces.now[t] += shift
         traces.mean[t] = mean + variance * a * moves
         traces.variance[t] = max(variance - goes * (variance * a) ** 2, 0.0)
         for j in range(slope.size):
@@ -223,9 +232,15 @@ def _correct_traces(
 
 @compiled(inside=True)
 def _carry_traces(
-    fixed: BankConstants, traces: ChangeTraces, rows: ChangeRows, begin: int, end: int, slots: int,
-    moved: FloatArray, now: int,
-) -> None:  # fmt: skip
+    fixed: BankConstants,
+    traces: ChangeTraces,
+    rows: ChangeRows,
+    begin: int,
+    end: int,
+    slots: int,
+    moved: FloatArray,
+    now: int,
+) -> None:
     """Move the traces of a member on to the next sample."""
     n, size = moved.shape
     new = np.empty(n)
@@ -253,44 +268,52 @@ def _shown_by(
     code: Code, free: TrackedParameters, vector: FloatArray, work: Work, i: int, slope: FloatArray
 ) -> None:
     """Derivatives of output i by states and parameters."""
-    n = work.there.size - 1
-    o = work.seen.size
+    n = work.after.size - 1
+    o = work.outputs.size
     for j in range(n):
-        slope[j] = work.shown[i * n + j]
+        slope[j] = work.output_slopes[i * n + j]
     for j in range(free.places.size):
-        by = work.shown[o * n + i * code[N_UNKNOWN] + free.which[j]]
-        slope[n + j] = by * vector[free.places[j]] if free.logged[j] else by
+        derivative = work.output_slopes[o * n + i * code[N_UNKNOWN] + free.which[j]]
+        slope[n + j] = derivative * vector[free.places[j]] if free.logged[j] else derivative
 
 
 @compiled(inside=True)
 def _move_member(
-    code: Code, fixed: BankConstants, at: FloatArray, vector: FloatArray, work: Work, u: FloatArray,
-    d: FloatArray, error: float, moved: FloatArray, noises: FloatArray,
-) -> None:  # fmt: skip
+    code: Code,
+    fixed: BankConstants,
+    at: FloatArray,
+    vector: FloatArray,
+    work: Work,
+    u: FloatArray,
+    d: FloatArray,
+    error: float,
+    moved: FloatArray,
+    noises: FloatArray,
+) -> None:
     """Move a belief one period on under the inputs u, shape (m,); `moved` gets the derivatives of the states
     by all of its numbers, and `noises` the variances that this adds. A push moves states as far as an output
     shows them."""
-    o = work.seen.size
+    o = work.outputs.size
     m = u.size
     p = fixed.free.places.size
-    n = work.there.size - 1
+    n = work.after.size - 1
     size = at.size
     share = n + p
     push = n + p + m
     fading = size - o
-    there = at[:n].copy()
+    moved_states = at[:n].copy()
     inputs = np.empty(m)
     was = np.empty(o)
     for q in range(m):
-        more = 1.0 + min(max(at[share + q], -1.0), 1.0)
-        inputs[q] = fixed.rest[q] + (u[q] - fixed.rest[q]) * more + at[push + q]
+        gain = 1.0 + min(max(at[share + q], -1.0), 1.0)
+        inputs[q] = fixed.rest[q] + (u[q] - fixed.rest[q]) * gain + at[push + q]
     _use(code, fixed.free, at, vector, work)
-    call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
-    call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.shown)
+    call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.outputs)
+    call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.output_slopes)
     for i in range(o):
-        was[i] = work.seen[i]
-    columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.free.which, moved)
-    call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
+        was[i] = work.outputs[i]
+    columns = _move(code, moved_states, inputs, d, work, fixed.period, fixed.steps, fixed.free.which, moved)
+    call(code[OUTPUTS], moved_states, inputs, d, work.p, work.b, work.outputs)
     for j in range(size):
         noises[j] = error * error * fixed.drift[j]
     for j in range(n):
@@ -303,88 +326,104 @@ def _move_member(
     for i in range(o):
         shows = 0.0
         for j in range(n):
-            shows += work.shown[i * n + j] ** 2
+            shows += work.output_slopes[i * n + j] ** 2
         for j in range(n):
-            by_push = work.shown[i * n + j] / max(shows, 1e-300)
+            by_push = work.output_slopes[i * n + j] / max(shows, 1e-300)
             moved[j, fading + i] = by_push * fixed.period
-            there[j] += moved[j, fading + i] * at[fading + i]
-            noises[j] += (error * fixed.swift * (work.seen[i] - was[i]) * by_push) ** 2
+            moved_states[j] += moved[j, fading + i] * at[fading + i]
+            noises[j] += (error * fixed.swift * (work.outputs[i] - was[i]) * by_push) ** 2
     for j in range(size):
-        at[j] = there[j] if j < n else at[j] * fixed.keeps[j]
+        at[j] = moved_states[j] if j < n else at[j] * fixed.keeps[j]
 
 
 @compiled(inside=True)
 def _correct_member(
-    code: Code, fixed: BankConstants, members: BankMembers, b: int, traces: ChangeTraces, begin: int,
-    end: int, r: Reading, vector: FloatArray, work: Work,
-) -> None:  # fmt: skip
+    code: Code,
+    fixed: BankConstants,
+    members: BankMembers,
+    b: int,
+    traces: ChangeTraces,
+    begin: int,
+    end: int,
+    r: Reading,
+    vector: FloatArray,
+    work: Work,
+) -> None:
     """Correct a member by a sample, and its traces, which are those from `begin` to before `end`."""
-    at = members.at[b]
+    belief = members.at[b]
     covariance = members.covariance[b]
     d = r.disturbances
     p = fixed.free.places.size
     o = r.y.size
-    size = at.size
-    n = work.there.size - 1
+    size = belief.size
+    n = work.after.size - 1
     slope = np.zeros(size)
     reach = np.zeros(size)
     lost = np.zeros(size)
     for i in range(o):
         offset = size - 3 * o + i
         passing = size - 2 * o + i
-        call(code[OUTPUTS], at, fixed.rest, d, work.p, work.b, work.seen)
-        call(code[OUTPUT_SLOPES], at, fixed.rest, d, work.p, work.b, work.shown)
+        call(code[OUTPUTS], belief, fixed.rest, d, work.p, work.b, work.outputs)
+        call(code[OUTPUT_SLOPES], belief, fixed.rest, d, work.p, work.b, work.output_slopes)
         _shown_by(code, fixed.free, vector, work, i, slope)
         slope[offset] = slope[passing] = 1.0
         expected = max(_expected(covariance, slope, reach), 0.0)
-        level = work.seen[i] + at[offset] + at[passing]
-        off = r.y[i] - level
-        members.expected[b, i], members.variance[b, i], members.gained[b, i] = level, expected, 0.0
+        level = work.outputs[i] + belief[offset] + belief[passing]
+        innovation = r.y[i] - level
+        members.expected[b, i] = level
+        members.variance[b, i] = expected
+        members.gained[b, i] = 0.0
         if r.seen[i] and members.takes[b]:
-            gained, moves, goes = _read(fixed, r, i, off, expected)
+            gained, moves, goes = _read(fixed, r, i, innovation, expected)
             members.gained[b, i] = gained
             for j in range(size):
-                lost[j] = (moves / off if abs(off) > 1e-9 else goes) * reach[j]
-            _correct_traces(fixed, traces, begin, end, r, i, slope, lost, off, expected, gained)
+                lost[j] = (moves / innovation if abs(innovation) > 1e-9 else goes) * reach[j]
+            _correct_traces(fixed, traces, begin, end, r, i, slope, lost, innovation, expected, gained)
             for j in range(size):
-                at[j] += moves * reach[j]
+                belief[j] += moves * reach[j]
                 for k in range(size):
                     covariance[j, k] -= goes * (reach[j] * reach[k])
         slope[offset] = slope[passing] = 0.0
     for j in range(p):
-        at[n + j] = min(max(at[n + j], fixed.free.least[j]), fixed.free.most[j])
+        belief[n + j] = min(max(belief[n + j], fixed.free.least[j]), fixed.free.most[j])
 
 
 @compiled
 def step(
-    code: Code, fixed: BankConstants, members: BankMembers, traces: ChangeTraces, rows: ChangeRows,
-    levels: int, r: Reading, now: int,
-) -> None:  # fmt: skip
+    code: Code,
+    fixed: BankConstants,
+    members: BankMembers,
+    traces: ChangeTraces,
+    rows: ChangeRows,
+    levels: int,
+    r: Reading,
+    now: int,
+) -> None:
     """Correct all members and traces by a sample, and move them on to the next, in place."""
     slots = traces.born.size // (levels * rows.number.size)
     vector = fixed.free.vector.copy()
     size = members.at.shape[1]
     work = work_for(code, vector)
     noises = np.zeros(size)
-    moved = np.zeros((work.there.size - 1, size))
+    moved = np.zeros((work.after.size - 1, size))
     for t in range(traces.now.size):
         traces.now[t] = 0.0
     for b in range(members.alive.size):
         if not members.alive[b]:
             continue
-        at = members.at[b]
+        belief = members.at[b]
         covariance = members.covariance[b]
         u = r.inputs[members.way[b]]
         begin = min(b, levels) * slots * rows.number.size
         end = begin + (slots * rows.number.size if b < levels else 0)
-        _use(code, fixed.free, at, vector, work)
+        _use(code, fixed.free, belief, vector, work)
         _correct_member(code, fixed, members, b, traces, begin, end, r, vector, work)
-        _move_member(code, fixed, at, vector, work, u, r.disturbances, members.error[b], moved, noises)
+        _move_member(code, fixed, belief, vector, work, u, r.disturbances, members.error[b], moved, noises)
         _carry(moved, covariance, fixed.keeps, noises)
         _carry_traces(fixed, traces, rows, begin, end, slots, moved, now)
         total = 0.0
         for j in range(size):
-            total += at[j] + covariance[j, j]
+            total += belief[j] + covariance[j, j]
         if not math.isfinite(total):
             members.alive[b] = False
 
@@ -406,10 +445,10 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
         for t in range(begin, end):
             if born[t] < born[new] and (old < 0 or born[t] > born[old]):
                 old = t
-        alike = (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
-        if alike < least:
+        shared_life = (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
+        if shared_life < least:
             behind = traces.score[old] + traces.weight[old] < traces.score[new] + traces.weight[new]
-            least = alike
+            least = shared_life
             place = old if behind else new
             keep = new if behind else old
     traces.mass[keep] += traces.mass[place]
@@ -418,9 +457,14 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
 
 @compiled
 def spawn(
-    traces: ChangeTraces, rows: ChangeRows, at: FloatArray, weights: FloatArray, least: float, reach: int,
+    traces: ChangeTraces,
+    rows: ChangeRows,
+    at: FloatArray,
+    weights: FloatArray,
+    least: float,
+    reach: int,
     now: int,
-) -> None:  # fmt: skip
+) -> None:
     """Have every change begin now in each of the levels, whose means are `at`, if its log-weight is at least
     `least`; onsets older than `reach` samples, and hopeless ones, are dropped."""
     slots = traces.born.size // (weights.size * rows.number.size)
@@ -439,8 +483,10 @@ def spawn(
             traces.trace[t, rows.number[r]] = 1.0 if rows.rate[r] == 0.0 else 0.0
             traces.mean[t] = -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
             traces.variance[t] = rows.spread[r] ** 2
-            traces.now[t], traces.score[t] = 0.0, 0.0
-            traces.mass[t], traces.weight[t] = rows.mass[r], weights[b]
+            traces.now[t] = 0.0
+            traces.score[t] = 0.0
+            traces.mass[t] = rows.mass[r]
+            traces.weight[t] = weights[b]
 
 
 @compiled
@@ -471,9 +517,15 @@ def weigh(
 
 @compiled
 def tally(
-    traces: ChangeTraces, rows: ChangeRows, levels: int, healthy: float, doubts: FloatArray, now: int,
-    totals: FloatArray, best: Any,
-) -> None:  # fmt: skip
+    traces: ChangeTraces,
+    rows: ChangeRows,
+    levels: int,
+    healthy: float,
+    doubts: FloatArray,
+    now: int,
+    totals: FloatArray,
+    best: Any,
+) -> None:
     """Add this sample, of log-probability `healthy` without a change, to the scores, divided by `doubts` at
     each age; `totals` gets the evidence of each cause, summed over its onsets, and `best` its likeliest."""
     count = rows.number.size
@@ -481,7 +533,8 @@ def tally(
     slots = traces.born.size // (levels * count)
     gains = np.empty(traces.born.size)
     for c in range(totals.size):
-        totals[c], heights[c] = 0.0, -np.inf
+        totals[c] = 0.0
+        heights[c] = -np.inf
     for t in range(traces.born.size):
         if traces.born[t] < 0:
             continue
@@ -490,7 +543,8 @@ def tally(
         traces.score[t] += (traces.now[t] - healthy) / doubts[min(age, doubts.size - 1)]
         gains[t] = traces.score[t] + traces.weight[t] + math.log(max(traces.mass[t], 1e-300))
         if gains[t] > heights[c]:
-            heights[c], best[c] = gains[t], t
+            heights[c] = gains[t]
+            best[c] = t
     for t in range(traces.born.size):
         if traces.born[t] >= 0:
             c = rows.cause[t // slots % count]

@@ -52,29 +52,34 @@ class PlantFormulas(NamedTuple):
 
 def plant_formulas(derived: Derived) -> PlantFormulas:
     """The formulas of derived equations, with exact derivatives."""
-    d = derived
     writer = _Writer(derived)
-    by_state = [e.diff(s) for e in d.rates for s in d.states]
-    by_input = [e.diff(s) for e in d.rates for s in d.inputs]
-    by_unknown = [e.diff(s) for e in d.rates for s in d.unknown]
+    by_state = [expression.diff(symbol) for expression in derived.rates for symbol in derived.states]
+    by_input = [expression.diff(symbol) for expression in derived.rates for symbol in derived.inputs]
+    by_unknown = [expression.diff(symbol) for expression in derived.rates for symbol in derived.unknown]
     return PlantFormulas(
-        n_states=len(d.states),
-        n_inputs=len(d.inputs),
-        n_outputs=len(d.outputs),
-        n_parameters=len(d.parameters),
-        n_unknown=len(d.unknown),
-        rates=writer.formulas(d.rates),
-        slopes=writer.formulas([*by_unknown, *d.rates, *by_state, *by_input]),
-        outputs=writer.formulas(d.outputs),
+        n_states=len(derived.states),
+        n_inputs=len(derived.inputs),
+        n_outputs=len(derived.outputs),
+        n_parameters=len(derived.parameters),
+        n_unknown=len(derived.unknown),
+        rates=writer.formulas(derived.rates),
+        slopes=writer.formulas([*by_unknown, *derived.rates, *by_state, *by_input]),
+        outputs=writer.formulas(derived.outputs),
         output_slopes=writer.formulas(
-            e.diff(s) for by in (d.states, d.unknown, d.inputs) for e in d.outputs for s in by
+            expression.diff(symbol)
+            for symbols in (derived.states, derived.unknown, derived.inputs)
+            for expression in derived.outputs
+            for symbol in symbols
         ),
-        start=writer.formulas(d.start),
+        start=writer.formulas(derived.start),
         start_slopes=writer.formulas(
-            e.diff(s) for by in (d.measured, d.unknown) for e in d.start for s in by
+            expression.diff(symbol)
+            for symbols in (derived.measured, derived.unknown)
+            for expression in derived.start
+            for symbol in symbols
         ),
-        quantities=writer.formulas(d.quantities.values()),
-        switches=writer.formulas(d.conditions, shared=False),
+        quantities=writer.formulas(derived.quantities.values()),
+        switches=writer.formulas(derived.conditions, shared=False),
         constants=writer.constants(),  # the last, when all are known
     )
 

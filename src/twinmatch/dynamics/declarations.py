@@ -48,15 +48,15 @@ class Declaration:
     name: str = field(default="", init=False)
 
     def __post_init__(self) -> None:
-        for what in ("unit", "text", "symbol"):
-            require_text(f"{what} of a quantity", getattr(self, what))
+        for attribute in ("unit", "text", "symbol"):
+            require_text(f"{attribute} of a quantity", getattr(self, attribute))
         if not is_readable(self.unit):
             raise PlantError(
                 f"plant: unit of a quantity is {shown(self.unit)}, too long or with too large powers; "
                 "write one such as W/(m² K)"
             )
-        for item in fields(self):
-            object.__setattr__(self, item.name, _in_range(getattr(self, item.name)))
+        for declared in fields(self):
+            object.__setattr__(self, declared.name, _in_range(getattr(self, declared.name)))
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "name", name)

@@ -181,14 +181,21 @@ def require_structure(plant: type[PlantDefinition], name: str, structure: Struct
     _require_names_of(plant, place, "part", structure.parts, plant.parts)
     _require_names_of(plant, place, "parameter", structure.free, parameters)
     _require_names_of(plant, place, "state", structure.free_starts, {**plant.states, **own_states})
-    for what, names in (("free", structure.free), ("free_starts", structure.free_starts)):
+    for table_name, names in (("free", structure.free), ("free_starts", structure.free_starts)):
         twice = [name for k, name in enumerate(names) if name in names[:k]]
         if twice:
-            raise PlantError(f"plant {plant.name}, {place}: `{what}` names {twice[0]!r} twice; name it once")
-    for what, values in (("`fixed`", structure.fixed), *(("`starts`", start) for start in structure.starts)):
-        here = f"{place}, {what}"
-        _require_names_of(plant, here, "parameter", _table(plant, here, values), parameters)
-        _require_values(plant, here, values, parameters)
+            raise PlantError(
+                f"plant {plant.name}, {place}: `{table_name}` names {twice[0]!r} twice; name it once"
+            )
+    for table_name, values in (
+        ("`fixed`", structure.fixed),
+        *(("`starts`", start) for start in structure.starts),
+    ):
+        where_in_structure = f"{place}, {table_name}"
+        _require_names_of(
+            plant, where_in_structure, "parameter", _table(plant, where_in_structure, values), parameters
+        )
+        _require_values(plant, where_in_structure, values, parameters)
     if not (structure.free or external):
         msg = f"plant {plant.name}, {place}: `free` is empty; name the parameters that a match may change"
         raise PlantError(msg)
@@ -198,9 +205,15 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
     if not isinstance(plant.name, str) or not re.fullmatch(r"\w[\w-]*", plant.name):
         msg = f'plant {plant.name!r}: is not a valid name; use letters, digits and _, such as name="tank"'
         raise PlantError(msg)
-    own = {name for kind in base.__mro__ for name in (*vars(kind), *vars(kind).get("__annotations__", ()))}
+    own_names = {
+        name for kind in base.__mro__ for name in (*vars(kind), *vars(kind).get("__annotations__", ()))
+    }
     for name, declared in vars(plant).items():
-        if isinstance(declared, Declaration) and name in own and not isinstance(declared, Output | Drive):
+        if (
+            isinstance(declared, Declaration)
+            and name in own_names
+            and not isinstance(declared, Output | Drive)
+        ):
             msg = f"plant {plant.name}: {name!r} is an attribute of every plant; rename this quantity"
             raise PlantError(msg)
     for attribute in ("title", "followed", "surroundings"):

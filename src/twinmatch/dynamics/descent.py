@@ -88,9 +88,11 @@ def new_search(
     """A new search, which first requests its start, shape (n,), inside the bounds."""
     n = start.size
     figures = np.zeros(_N)
-    figures[_DAMPING], figures[_GROWTH], figures[_MAX_EVALUATIONS] = _FIRST_DAMPING, 2.0, most_evaluations
-    known = found is not None and found.converged
-    figures[_KNOWN] = found.cost if known and found else np.nan
+    figures[_DAMPING] = _FIRST_DAMPING
+    figures[_GROWTH] = 2.0
+    figures[_MAX_EVALUATIONS] = most_evaluations
+    is_known = found is not None and found.converged
+    figures[_KNOWN] = found.cost if is_known and found else np.nan
     return Search(
         point=start.copy(),
         values=start.copy(),
@@ -100,8 +102,8 @@ def new_search(
         lower=np.ascontiguousarray(lower),  # columns of an array would need kernels of their own
         upper=np.ascontiguousarray(upper),
         scales=scales,
-        known=found.values if known and found else start,
-        known_hessian=found.hessian if known and found else np.zeros((n, n)),
+        known=found.values if is_known and found else start,
+        known_hessian=found.hessian if is_known and found else np.zeros((n, n)),
         figures=figures,
     )
 
@@ -181,10 +183,10 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
     for i in range(values.size):
         moved = moved or abs(step[i]) > _SMALL * search.scales[i]
         # A point beyond a bound, or within rounding of it, is set on it.
-        there = values[i] + step[i]
+        target = values[i] + step[i]
         near = 1e-12 * (upper[i] - lower[i])
-        there = lower[i] if there < lower[i] + near else there
-        search.point[i] = upper[i] if there > upper[i] - near else there
+        target = lower[i] if target < lower[i] + near else target
+        search.point[i] = upper[i] if target > upper[i] - near else target
     if not moved:
         figures[_CONVERGED] = 1.0 if np.isfinite(search.best[0]) else 0.0
     return moved

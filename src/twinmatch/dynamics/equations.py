@@ -39,11 +39,11 @@ def at_most(seconds: float = PATIENCE) -> Iterator[None]:
     """
     thread = ctypes.c_ulong(threading.get_ident())
     lock = threading.Lock()
-    done = False
+    is_switched = False
 
     def stop() -> None:
         with lock:
-            if not done:
+            if not is_switched:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(TooLongError))
 
     timer = threading.Timer(seconds, stop)
@@ -53,7 +53,7 @@ def at_most(seconds: float = PATIENCE) -> Iterator[None]:
         yield
     finally:
         with lock:
-            done = True
+            is_switched = True
         timer.cancel()
 
 
@@ -91,31 +91,42 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
 
     title = f"plant {plant.name}"
     written = written_equations(plant, parts)
+    written_outputs = outputs_of(plant, written)
     declared = {name: getattr(plant, name) for name in plant.declarations}
     states = tuple(declared[name] for name in plant.states if declared[name] in written.rates)
-    inputs, measured, disturbances = (
-        tuple(declared[name] for name in names) for names in (plant.drives, plant.outputs, plant.disturbances)
-    )
-    written_outputs = outputs_of(plant, written)
-
+    measured = tuple(declared[name] for name in plant.outputs)
     kinks = Kinks()
     roots = Roots(plant)
-    rates = tuple(kinks.resolved(roots.smooth(sympy.sympify(written.rates[s]))) for s in states)
-    quantities = {
-        name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()
-    }
-    outputs = tuple(roots.smooth(sympy.sympify(written_outputs[symbol])) for symbol in measured)
-    start = tuple(roots.smooth(sympy.sympify(written.start[s])) for s in states)
-    for what, expressions in (("output", outputs), ("start", start)):
-        if any(Kinks().resolved(expression) != expression for expression in expressions):
-            raise PlantError(f"{title}: the {what} has a kink; put it into the sensor or into a rate")
 
-    used = set().union(*(e.free_symbols for e in (*rates, *outputs, *start, *kinks.conditions)))
+    def smooth(expression: Expression) -> Expression:
+        return roots.smooth(sympy.sympify(expression))
+
+    rates = tuple(kinks.resolved(smooth(written.rates[state])) for state in states)
+    quantities = {name: kinks.resolved(smooth(expression)) for name, expression in written.quantities.items()}
+    outputs = tuple(smooth(written_outputs[symbol]) for symbol in measured)
+    start = tuple(smooth(written.start[state]) for state in states)
+    for role, expressions in (("output", outputs), ("start", start)):
+        if any(Kinks().resolved(expression) != expression for expression in expressions):
+            raise PlantError(f"{title}: the {role} has a kink; put it into the sensor or into a rate")
+
+    used: set[Any] = set()
+    for expression in (*rates, *outputs, *start, *kinks.conditions):
+        used |= expression.free_symbols
     parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
     return Derived(
-        states, inputs, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown),
-        measured, tuple(kinks.switches), tuple(kinks.conditions), rates, outputs, start, quantities,
-    )  # fmt: skip
+        states=states,
+        inputs=tuple(declared[name] for name in plant.drives),
+        disturbances=tuple(declared[name] for name in plant.disturbances),
+        parameters=parameters,
+        unknown=tuple(symbol for symbol in parameters if str(symbol) in unknown),
+        measured=measured,
+        switches=tuple(kinks.switches),
+        conditions=tuple(kinks.conditions),
+        rates=rates,
+        outputs=outputs,
+        start=start,
+        quantities=quantities,
+    )
 
 
 def outputs_of(plant: PlantDefinition, written: Equations) -> dict[Expression, Expression]:
@@ -209,21 +220,27 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
             kind = type(getattr(written, name)).__name__
             raise PlantError(f"{title}: `{name}` is of type {kind}; write a dictionary, {{…: …}}")
     declared = {name: getattr(plant, name) for name in plant.declarations}
-    every = [declared[name] for name in plant.states]
-    states = _require_states(title, every, written)
-    given = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
-    drives, measured = ({declared[name] for name in names} for names in (plant.drives, plant.outputs))
-    known = {*states, *given}
+    declared_states = [declared[name] for name in plant.states]
+    states = _require_states(title, declared_states, written)
+    measured_or_constant = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
+    drives = {declared[name] for name in plant.drives}
+    measured = {declared[name] for name in plant.outputs}
+    usable = {*states, *measured_or_constant}
     for state in states:
-        _require(f"{title}: the rate of {state}", written.rates[state], known | drives, declared)
-        _require(f"{title}: the start of {state}", written.start[state], given | drives | measured, declared)
+        _require(f"{title}: the rate of {state}", written.rates[state], usable | drives, declared)
+        _require(
+            f"{title}: the start of {state}",
+            written.start[state],
+            measured_or_constant | drives | measured,
+            declared,
+        )
     for symbol, expression in outputs_of(plant, written).items():
         name = "the output" if len(measured) == 1 else f"the output {symbol}"
-        _require(f"{title}: {name}", expression, known | drives, declared)
+        _require(f"{title}: {name}", expression, usable | drives, declared)
         if not _symbols(expression) & set(states):
             raise PlantError(f"{title}: {name} depends on no state; write it in terms of the states")
     for name, expression in written.quantities.items():
-        _require(f"{title}: the quantity {name}", expression, known | drives, declared)
+        _require(f"{title}: the quantity {name}", expression, usable | drives, declared)
 
 
 def _require_states(title: str, declared: list[Any], written: Equations) -> list[Any]:

@@ -89,10 +89,14 @@ class Experiment:
             raise PlantError(msg)
         loop = law_for(model.plant, window.period, law)
         known_gains = {} if loop is None else loop.GAINS
-        for names, known in ((free, model.names), (free_gains, known_gains), (free_starts, model.states)):
-            unknown = [name for name in names if name not in known]
+        for names, known_names in (
+            (free, model.names),
+            (free_gains, known_gains),
+            (free_starts, model.states),
+        ):
+            unknown = [name for name in names if name not in known_names]
             if unknown:
-                msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known)}"
+                msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known_names)}"
                 raise PlantError(msg)
         self.model = model
         self.base = base
@@ -108,15 +112,18 @@ class Experiment:
         columns = n_references(model.plant, loop)
         self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[SKIPPED:].T.copy()
         self._kernels = model.kernels_by(self.free)
-        given = np.ones(len(self.measured)) if weights is None else np.array(weights, dtype=np.float64)
-        weighed = np.repeat(given[:, None], self.measured.shape[1], 1)
+        given_weights = (
+            np.ones(len(self.measured)) if weights is None else np.array(weights, dtype=np.float64)
+        )
+        weighed = np.repeat(given_weights[:, None], self.measured.shape[1], 1)
         weighed[:, :settle] = 0.0
         if window.seen is not None:
             weighed[:, ~window.seen[SKIPPED:]] = 0.0
         expected, pull = np.zeros((2, self.size))
         for name, value in (beforehand or {}).items():
             place = self.free.index(name)
-            expected[place], pull[place] = value.expected, value.pull
+            expected[place] = value.expected
+            pull[place] = value.pull
         self._data = RunData(
             which=_indices(self._kernels.UNKNOWN, self.free),
             tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
@@ -180,11 +187,20 @@ class Experiment:
         data = self._data
         still = np.zeros((self.measured.shape[1], self._problem.first.size))
         never = np.zeros(self.measured.shape[1], dtype=np.bool_)
-        outputs, inputs, passed = self._kernels.run(
-            start.vector, start.x, start.law, data.memory, data.references, data.disturbances, still,
-            never, 0.0, data.period, start.steps,
-        )  # fmt: skip
-        return Response(outputs, inputs, passed, start.steps)
+        outputs, inputs, states = self._kernels.run(
+            start.vector,
+            start.x,
+            start.law,
+            data.memory,
+            data.references,
+            data.disturbances,
+            still,
+            never,
+            0.0,
+            data.period,
+            start.steps,
+        )
+        return Response(outputs, inputs, states, start.steps)
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
@@ -274,14 +290,16 @@ def sensitivities(
     code, memory = law_code(None)
     none = np.zeros(0, dtype=np.int64)
     references = np.ascontiguousarray(inputs)
-    known = np.ascontiguousarray(disturbances)
-    which = _indices(kernels.UNKNOWN, free)
-    data = RunData(which, none, memory, references, known, unread, unread, False, float(period))
+    known_disturbances = np.ascontiguousarray(disturbances)
+    free_places = _indices(kernels.UNKNOWN, free)
+    data = RunData(
+        free_places, none, memory, references, known_disturbances, unread, unread, False, float(period)
+    )
     columns = np.zeros((states.size, len(free)))
     start = Start(parameters.vector, code, states.copy(), columns, parameters.steps(period))
     tangents, _ = kernels.run_with_tangents(start, data, True, np.inf)
-    by = tangents.by[: len(model.plant.outputs), :, : len(free)]
-    return tangents.outputs, np.moveaxis(by, 0, 1)
+    derivatives = tangents.by[: len(model.plant.outputs), :, : len(free)]
+    return tangents.outputs, np.moveaxis(derivatives, 0, 1)
 
 
 def _indices(known: Sequence[str], names: Sequence[str]) -> NDArray[np.int64]:

@@ -99,9 +99,11 @@ class Readings(NamedTuple):
     def part(self, begin: int, end: int) -> Readings:
         """Samples from `begin` to before `end`."""
         return Readings(
-            self.output[begin : end + 2], self.input[begin:end], self.disturbances[begin:end],
+            self.output[begin : end + 2],
+            self.input[begin:end],
+            self.disturbances[begin:end],
             self.noise[begin:end],
-        )  # fmt: skip
+        )
 
     @property
     def unseen(self) -> Readings:
@@ -155,9 +157,16 @@ def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray) -> f
 
 @compiled(inside=True)
 def _take(
-    covariance: FloatArray, slope: FloatArray, reach: FloatArray, innovation: float, variance: float,
-    noise: float, limit: float, at: FloatArray, gain: FloatArray,
-) -> None:  # fmt: skip
+    covariance: FloatArray,
+    slope: FloatArray,
+    reach: FloatArray,
+    innovation: float,
+    variance: float,
+    noise: float,
+    limit: float,
+    at: FloatArray,
+    gain: FloatArray,
+) -> None:
     """Take a reading of this innovation, whose expected variance contains that of its noise, in place.
 
     The innovation is clipped at `limit` standard deviations: with a reduced gain the reading is less
@@ -165,28 +174,35 @@ def _take(
     correct for any gain.
     """
     size = slope.size
-    more = np.empty(slope.size)
+    halves = np.empty(slope.size)
     most = limit * math.sqrt(variance)
     weight = (most / abs(innovation) if abs(innovation) > most else 1.0) / variance
     for i in range(size):
         gain[i] = weight * reach[i]
-        more[i] = 0.5 * noise * gain[i]
+        halves[i] = 0.5 * noise * gain[i]
         at[i] += gain[i] * innovation
     # First (I − gain·slopeᵀ)·covariance, then, half from each side, the rest: exactly symmetric.
     for i in range(size):
         for j in range(size):
             covariance[i, j] -= weight * (reach[i] * reach[j])
-            more[j] -= 0.5 * slope[i] * covariance[i, j]
+            halves[j] -= 0.5 * slope[i] * covariance[i, j]
     for i in range(size):
         for j in range(size):
-            covariance[i, j] += gain[i] * more[j] + gain[j] * more[i]
+            covariance[i, j] += gain[i] * halves[j] + gain[j] * halves[i]
 
 
 @compiled(inside=True)
 def _move(
-    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int,
-    which: NDArray[np.int64], moved: FloatArray,
-) -> FloatArray:  # fmt: skip
+    code: Code,
+    x: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    work: Work,
+    period: float,
+    steps: int,
+    which: NDArray[np.int64],
+    moved: FloatArray,
+) -> FloatArray:
     """Move states one period on, in place; returns their derivatives by the m parameters `which`, by the
     states and by the inputs, shape (n, m + n + inputs); `moved` gets those by states, then parameters."""
     n = x.size
@@ -231,9 +247,18 @@ def _carry(moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: 
 
 @compiled
 def correct(
-    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: FloatArray, d: FloatArray,
-    u: FloatArray, noise: FloatArray, limit: float, which: NDArray[np.int64], bounds: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    x: FloatArray,
+    covariance: FloatArray,
+    y: FloatArray,
+    d: FloatArray,
+    u: FloatArray,
+    noise: FloatArray,
+    limit: float,
+    which: NDArray[np.int64],
+    bounds: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Correct by readings, shape (o,), under the inputs u, in place; return the innovation of each, given
     those before it, and its expected variance. `noise` are their standard deviations.
 
@@ -251,17 +276,22 @@ def correct(
     innovations = np.zeros(outputs)
     variances = np.zeros(outputs)
     work = work_for(code, vector)
-    call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
-    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
+    call(code[OUTPUTS], x, u, d, work.p, work.b, work.outputs)
+    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.output_slopes)
     for o in range(outputs):
-        innovation = y[o] - work.seen[o]
+        innovation = y[o] - work.outputs[o]
         for i in range(size):
-            slope[i] = work.shown[o * n + i] if i < n else work.shown[outputs * n + o * q + which[0, i - n]]
+            slope[i] = (
+                work.output_slopes[o * n + i]
+                if i < n
+                else work.output_slopes[outputs * n + o * q + which[0, i - n]]
+            )
             innovation -= slope[i] * moved[i]
-        own = noise[o] * noise[o]
-        variance = _expected(covariance, slope, reach) + own
-        _take(covariance, slope, reach, innovation, variance, own, limit, moved, gain)
-        innovations[o], variances[o] = innovation, variance
+        noise_variance = noise[o] * noise[o]
+        variance = _expected(covariance, slope, reach) + noise_variance
+        _take(covariance, slope, reach, innovation, variance, noise_variance, limit, moved, gain)
+        innovations[o] = innovation
+        variances[o] = variance
     for i in range(n):
         x[i] += moved[i]
     for j in range(size - n):
@@ -272,9 +302,17 @@ def correct(
 
 @compiled
 def predict(
-    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray,
-    u: FloatArray, d: FloatArray, period: float, steps: int, which: NDArray[np.int64],
-) -> FloatArray:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    x: FloatArray,
+    covariance: FloatArray,
+    process_noise: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    period: float,
+    steps: int,
+    which: NDArray[np.int64],
+) -> FloatArray:
     """Predict states and joint covariance one period ahead; `process_noise`, shape (n + m,), adds to its
     diagonal. Returns the derivatives of the states by the m parameters which[0], by the states and by the
     inputs, shape (n, m + n + inputs)."""
@@ -302,11 +340,24 @@ def adapt(
 
 @compiled
 def follow(
-    codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
-    covariances: FloatArray, process_noise: FloatArray, factors: FloatArray, rows: FloatArray,
-    steps: NDArray[np.int64], u: FloatArray, now: FloatArray, seen: NDArray[np.bool_], y: FloatArray,
-    d: FloatArray, period: float, noise: FloatArray, limit: float,
-) -> NDArray[np.int64]:  # fmt: skip
+    codes: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    vectors: FloatArray,
+    x: FloatArray,
+    covariances: FloatArray,
+    process_noise: FloatArray,
+    factors: FloatArray,
+    rows: FloatArray,
+    steps: NDArray[np.int64],
+    u: FloatArray,
+    now: FloatArray,
+    seen: NDArray[np.bool_],
+    y: FloatArray,
+    d: FloatArray,
+    period: float,
+    noise: FloatArray,
+    limit: float,
+) -> NDArray[np.int64]:
     """For each of N samples: `predict` under the inputs u, shape (N, m), and the disturbances `rows` of the
     sample before, then, if this one was `seen`, `correct` under its own inputs `now`, shape (N, m); for
     several plants in place, one row of each array per plant. Returns how many samples each took, shape (C,),
@@ -314,34 +365,34 @@ def follow(
 
     `sizes`, shape (C, 2), are the numbers of states and parameters.
     """
-    taken = np.zeros(len(sizes), dtype=np.int64)
+    counts = np.zeros(len(sizes), dtype=np.int64)
     none = np.zeros((2, 0), dtype=np.int64)
     unbounded = np.zeros((2, 0))
     for i in range(len(sizes)):
         n, m = sizes[i]
         code = codes[i]
         vector = vectors[i, :m]
-        at = x[i, :n]
+        states = x[i, :n]
         row = rows[i]
         covariance = covariances[i, : n * n].reshape((n, n))
         for k in range(len(u)):
-            predict(code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
+            predict(code, vector, states, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
             if seen[k]:
                 copy_into(d[k], row)
                 innovations, variances = correct(
-                    code, vector, at, covariance, y[k], row, now[k], noise, limit, none, unbounded
+                    code, vector, states, covariance, y[k], row, now[k], noise, limit, none, unbounded
                 )
                 if not np.isfinite(innovations.sum() + variances.sum()):
                     break
                 adapt(process_noise[i, :n], factors[i], innovations, variances)
-            taken[i] += 1
-    return taken
+            counts[i] += 1
+    return counts
 
 
 @compiled(inside=True)
 def _use(code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray, work: Work) -> None:
     """Write the parameters of a belief into `vector`, and use them."""
-    n = work.there.size - 1
+    n = work.after.size - 1
     for j in range(free.places.size):
         q = at[n + j]
         start = free.vector[free.places[j]]
@@ -351,9 +402,16 @@ def _use(code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray
 
 @compiled
 def track(
-    code: Code, fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: Drift,
-    readings: Readings, opening: Opening, traces: Traces, cost: float,
-) -> float:  # fmt: skip
+    code: Code,
+    fixed: TrackerConstants,
+    at: FloatArray,
+    covariance: FloatArray,
+    drift: Drift,
+    readings: Readings,
+    opening: Opening,
+    traces: Traces,
+    cost: float,
+) -> float:
     """Track some samples; belief and traces change in place. Return the code length, in nats, of these
     readings and of those before, which is `cost`.
 
@@ -380,32 +438,34 @@ def track(
     gain = np.zeros(size)
     noises = np.zeros(size)
     moved = np.zeros((n, size))
-    there = np.zeros(n)
+    next_states = np.zeros(n)
     slope[offset] = slope[passing] = 1.0
     _use(code, free, at, vector, work)
     for k in range(u.size):
-        given = readings.disturbances[k]
+        disturbances = readings.disturbances[k]
         inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
-        call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
-        call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
+        call(code[OUTPUTS], at, inputs, disturbances, work.p, work.b, work.outputs)
+        call(code[OUTPUT_SLOPES], at, inputs, disturbances, work.p, work.b, work.output_slopes)
         for i in range(n):
-            slope[i] = work.shown[i]
+            slope[i] = work.output_slopes[i]
         for j in range(m):
-            by = work.shown[n + free.which[j]]
-            slope[n + j] = by * vector[free.places[j]] if free.logged[j] else by
-        slope[share] = work.shown[n + code[N_UNKNOWN]] * (u[k] - fixed.rest)
-        innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
+            derivative = work.output_slopes[n + free.which[j]]
+            slope[n + j] = derivative * vector[free.places[j]] if free.logged[j] else derivative
+        slope[share] = work.output_slopes[n + code[N_UNKNOWN]] * (u[k] - fixed.rest)
+        innovation = y[k + 2] - work.outputs[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
-        variance, own = _weigh(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
-        if own < STALE:
+        variance, noise_variance = _weigh(
+            y, k, innovation, expected, readings.noise[k], passing, covariance, reach
+        )
+        if noise_variance < STALE:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
-        _take(covariance, slope, reach, innovation, variance, own, math.inf, at, gain)
+        _take(covariance, slope, reach, innovation, variance, noise_variance, math.inf, at, gain)
         _correct_effects(slope, gain, innovation, variance, traces)
         for j in range(m):
             at[n + j] = min(max(at[n + j], free.least[j]), free.most[j])
         at[share] = min(max(at[share], -1.0), 1.0)
         _use(code, free, at, vector, work)
-        way = _move_belief(code, fixed, at, vector, work, u[k], given, moved, there)
+        way = _move_belief(code, fixed, at, vector, work, u[k], disturbances, moved, next_states)
         for i in range(size):
             noises[i] = drift.each[i] ** 2 * fixed.period
             if k < opening.lasting:
@@ -420,35 +480,48 @@ def track(
             for i in range(size):
                 covariance[i, rising] += covariance[i, rate] * fixed.period
             _use(code, free, at, vector, work)
-        _carry_effects(moved, there, traces.effects, fixed.keeps)
+        _carry_effects(moved, next_states, traces.effects, fixed.keeps)
     return cost
 
 
 @compiled(inside=True)
 def _weigh(
-    y: FloatArray, k: int, innovation: float, expected: float, noise: float, passing: int,
-    covariance: FloatArray, reach: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
+    y: FloatArray,
+    k: int,
+    innovation: float,
+    expected: float,
+    noise: float,
+    passing: int,
+    covariance: FloatArray,
+    reach: FloatArray,
+) -> tuple[float, float]:
     """The variance with which a reading counts, and its own in it: `STALE` if it was lost, or is repeated by
     its sensor. One that has just stopped to repeat opens the passing offset."""
-    own = STALE if math.isinf(noise) else noise**2
-    if own < STALE and innovation**2 > SUSPECT**2 * (expected + own):
+    noise_variance = STALE if math.isinf(noise) else noise**2
+    if noise_variance < STALE and innovation**2 > SUSPECT**2 * (expected + noise_variance):
         if y[k + 2] == y[k + 1]:
-            own = STALE
+            noise_variance = STALE
         elif y[k + 1] == y[k]:
             covariance[passing, passing] += innovation**2
             reach[passing] += innovation**2
             expected += innovation**2
-    if own < STALE:
-        own = max(own, (innovation / CLIPPED) ** 2 - expected)
-    return expected + own, own
+    if noise_variance < STALE:
+        noise_variance = max(noise_variance, (innovation / CLIPPED) ** 2 - expected)
+    return expected + noise_variance, noise_variance
 
 
 @compiled(inside=True)
 def _move_belief(
-    code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work, u: float,
-    d: FloatArray, moved: FloatArray, there: FloatArray,
-) -> float:  # fmt: skip
+    code: Code,
+    fixed: TrackerConstants,
+    at: FloatArray,
+    vector: FloatArray,
+    work: Work,
+    u: float,
+    d: FloatArray,
+    moved: FloatArray,
+    there: FloatArray,
+) -> float:
     """Move a belief one period on; returns how far the equations move the output. `moved` gets the
     derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
     free = fixed.free
@@ -461,23 +534,23 @@ def _move_belief(
     shows = 0.0
     for i in range(n):
         there[i] = at[i]
-        shows += work.shown[i] * work.shown[i]
+        shows += work.output_slopes[i] * work.output_slopes[i]
     inputs[0] = fixed.rest + (u - fixed.rest) * (1.0 + at[share])
-    call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
-    before = work.seen[0]
+    call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.outputs)
+    before = work.outputs[0]
     columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, free.which, moved)
-    call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
+    call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.outputs)
     for i in range(n):
         for j in range(m):
             if free.logged[j]:
                 moved[i, n + j] *= vector[free.places[j]]
         moved[i, share] = columns[i, m + n] * (u - fixed.rest)
-        by_push = work.shown[i] / shows * fixed.period
+        by_push = work.output_slopes[i] / shows * fixed.period
         moved[i, fading] = moved[i, push] = by_push
         at[i] = there[i] + by_push * (at[fading] + at[push])
     for i in range(n, at.size):
         at[i] *= fixed.keeps[i]
-    return float(work.seen[0] - before)
+    return float(work.outputs[0] - before)
 
 
 @compiled(inside=True)

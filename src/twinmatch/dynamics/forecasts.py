@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twinmatch.dynamics import variances as variance_kernels
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.experiment import Experiment
 from twinmatch.dynamics.laws import LawCode
@@ -15,8 +17,17 @@ from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.simulation import law_code, n_references, signal_rows
-from twinmatch.dynamics.variances import BANDED, MEAN, foresee_each, noise_effects
+from twinmatch.dynamics.variances import foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
+
+
+class Wanted(IntEnum):
+    """What is to be forecast of a twin."""
+
+    NOTHING = 0
+    MEAN = variance_kernels.MEAN
+    BANDED = variance_kernels.BANDED
+    """Mean and variance."""
 
 
 class LoopForecast(NamedTuple):
@@ -92,31 +103,28 @@ class Foresight:
         Raises:
             PlantError: a signal or a name is invalid, or the plant is too fast.
         """
-        model = self._model = twins[0][0].model
+        model = twins[0][0].model
         period = float(period if loop is None else loop.period)
+        self._model = model
         self._name = "inputs" if loop is None else "set-points"
         self._loop = loop
         self._columns = n_references(model.plant, loop)
         self._kernels = [parameters.model.kernels_by(unsure) for parameters, unsure in twins]
-        self.sizes = np.array([(len(p.model.states), p.vector.size, len(names)) for p, names in twins])
-        count = len(twins)
+        self.sizes = np.array([_sizes_of(parameters, unsure) for parameters, unsure in twins])
         most, longest, widest = self.sizes.max(axis=0)
-        self._vectors = np.zeros((count, longest))
-        self._which = np.zeros((count, 2 * widest), dtype=np.int64)
-        self._process_noise = np.zeros((count, most + widest))
-        for i, ((parameters, unsure), each) in enumerate(zip(twins, drift, strict=True)):
+        self._vectors = np.zeros((len(twins), longest))
+        self._which = np.zeros((len(twins), 2 * widest), dtype=np.int64)
+        self._process_noise = np.zeros((len(twins), most + widest))
+        for i, ((parameters, unsure), deviations) in enumerate(zip(twins, drift, strict=True)):
             n, p, k = self.sizes[i].tolist()
             title = parameters.model.title
-            unknown = [name for name in unsure if name not in parameters.model.names]
-            if unknown:
-                names = ", ".join(parameters.model.names)
-                raise PlantError(f"{title}: no parameter {unknown[0]!r}; there are {names}")
+            _require_names(title, unsure, parameters.model.names)
             self._vectors[i, :p] = parameters.vector
             self._which[i, : 2 * k] = 2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure]
-            self._process_noise[i, :n] = np.square(_fit(title, "drift", each, (n,))) * period
+            self._process_noise[i, :n] = np.square(_fit(title, "drift", deviations, (n,))) * period
         self._steps = np.array([parameters.steps(period) for parameters, _ in twins])
-        given = model.noise if noise is None else np.atleast_1d(noise)
-        noises = _fit(model.title, "noise", given, model.noise.shape)
+        noise_of_readings = model.noise if noise is None else np.atleast_1d(noise)
+        noises = _fit(model.title, "noise", noise_of_readings, model.noise.shape)
         self._then = period, noises * noises, float(swift)
         if not model.is_external:
             self._codes = np.stack([kernels.code for kernels in self._kernels])
@@ -168,7 +176,7 @@ class Foresight:
         Raises:
             PlantError: a signal is invalid.
         """
-        means, variances = self.each(now, [BANDED if banded else MEAN], signal, disturbances)
+        means, variances = self.each(now, [Wanted.BANDED if banded else Wanted.MEAN], signal, disturbances)
         many = self._model.noise.size
         shown = variances[0] if banded else variances[0, :, :0]
         return LoopForecast(means[0, :many].T, means[0, many:].T, shown[:many].T, shown[many:].T)
@@ -176,26 +184,37 @@ class Foresight:
     def each(
         self,
         now: TwinsNow,
-        wanted: Sequence[int],
+        wanted: Sequence[Wanted],
         signal: ArrayLike | None,
         disturbances: ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Means and variances of outputs, then inputs, of all twins, shape (C, o + m, N); `wanted` of each
-        are 0, `MEAN` or `BANDED`, and NaN is what is not.
+        """Means and variances of outputs, then inputs, of all twins, shape (C, o + m, N); NaN is what is
+        not `wanted`.
 
         Raises:
             PlantError: as `ahead`.
         """
         period, noise, swift = self._then
-        rest = (
-            self.sizes, self._vectors, self._which, now.states, now.covariances, self._process_noise,
-            self._steps, np.array(wanted), *now[2:], *self._rows(signal, disturbances), period, noise, swift,
-        )  # fmt: skip
+        arguments = (
+            self.sizes,
+            self._vectors,
+            self._which,
+            now.states,
+            now.covariances,
+            self._process_noise,
+            self._steps,
+            np.array(wanted),
+            *now[2:],
+            *self._rows(signal, disturbances),
+            period,
+            noise,
+            swift,
+        )
         forecasts: tuple[FloatArray, FloatArray]
         if self._model.is_external:
-            forecasts = self._kernels[0].foresee_each(*rest)
+            forecasts = self._kernels[0].foresee_each(*arguments)
         else:
-            forecasts = foresee_each(self._codes, *rest)
+            forecasts = foresee_each(self._codes, *arguments)
         return forecasts
 
     def _rows(
@@ -207,6 +226,17 @@ class Foresight:
         if disturbances is not None and np.ndim(disturbances) == 1:
             disturbances = np.tile(model.disturbance_row(disturbances), (size, 1))
         return references, model.disturbance_rows(disturbances, size)
+
+
+def _sizes_of(parameters: Parameters, unsure: Sequence[str]) -> tuple[int, int, int]:
+    """Numbers of states, of parameters, and of those unsure."""
+    return len(parameters.model.states), parameters.vector.size, len(unsure)
+
+
+def _require_names(title: str, names: Sequence[str], declared: Sequence[str]) -> None:
+    for name in names:
+        if name not in declared:
+            raise PlantError(f"{title}: no parameter {name!r}; there are {', '.join(declared)}")
 
 
 def _fit(title: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -236,7 +266,10 @@ def noise_scores(
         driven twin, noise enters only through the readings it is compared with, and its start.
     """
     effects: tuple[FloatArray, float] = noise_effects(
-        tangents, experiment.start_slope, np.ascontiguousarray(weighed),
-        np.ascontiguousarray(weights, dtype=np.float64), experiment.closed,
-    )  # fmt: skip
+        tangents,
+        experiment.start_slope,
+        np.ascontiguousarray(weighed),
+        np.ascontiguousarray(weights, dtype=np.float64),
+        experiment.closed,
+    )
     return effects

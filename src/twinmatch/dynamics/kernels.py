@@ -52,11 +52,11 @@ class Work(NamedTuple):
     """Parameters, and after them the constants that are computed from them."""
     b: FloatArray
     """Switches, 1 or 0."""
-    there: FloatArray
+    after: FloatArray
     """States after a step, and whether it crosses a kink."""
-    seen: FloatArray
+    outputs: FloatArray
     """Outputs."""
-    shown: FloatArray
+    output_slopes: FloatArray
     """Derivatives of the outputs by the states, then by the unknowns, then by the inputs, row by row."""
 
 
@@ -73,21 +73,33 @@ def _call_step(context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: An
 
 @intrinsic
 def _call_tangents(
-    context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: Any, columns: Any,
-    du: Any, which: Any, first: Any, size: Any,
-) -> Any:  # fmt: skip
+    context: Any,
+    address: Any,
+    x: Any,
+    u: Any,
+    d: Any,
+    p: Any,
+    b: Any,
+    out: Any,
+    h: Any,
+    columns: Any,
+    du: Any,
+    which: Any,
+    first: Any,
+    size: Any,
+) -> Any:
     arguments = (address, x, u, d, p, b, out, h, columns, du, which, first, size)
     return types.void(*arguments), _by_address
 
 
 def _by_address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Arrays are passed as pointers to their first value."""
-    passed = [
+    pointers = [
         context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
         for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
     ]
-    function = ir.FunctionType(ir.VoidType(), [value.type for value in passed])
-    builder.call(builder.inttoptr(arguments[0], function.as_pointer()), passed)
+    function = ir.FunctionType(ir.VoidType(), [value.type for value in pointers])
+    builder.call(builder.inttoptr(arguments[0], function.as_pointer()), pointers)
     return context.get_dummy_value()
 
 
@@ -114,10 +126,10 @@ def work_for(code: Code, vector: FloatArray) -> Work:
     """The arrays for a plant with these parameters."""
     p = np.empty(code[N_PARAMETERS] + code[N_CONSTANTS])
     b = np.zeros(code[N_SWITCHES])
-    there = np.zeros(code[N] + 1)
-    seen = np.zeros(code[N_OUTPUTS])
-    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS]))
-    work = Work(p, b, there, seen, shown)
+    after = np.zeros(code[N] + 1)
+    outputs = np.zeros(code[N_OUTPUTS])
+    output_slopes = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS]))
+    work = Work(p, b, after, outputs, output_slopes)
     prepare(code, vector, work)
     return work
 
@@ -129,8 +141,8 @@ def _reach(code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, 
     high = h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        _call_step(code[STEP], x, u, d, work.p, work.b, work.there, middle)
-        if work.there[x.size] != 0.0:
+        _call_step(code[STEP], x, u, d, work.p, work.b, work.after, middle)
+        if work.after[x.size] != 0.0:
             high = middle
         else:
             low = middle
@@ -142,51 +154,70 @@ def tick(
     code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int
 ) -> None:
     """Move the states one period on, in place."""
-    there = work.there
+    after = work.after
     for _ in range(steps):
-        left = period / steps
+        remaining = period / steps
         for event in range(MAX_EVENTS):
-            taken = left
-            _call_step(code[STEP], x, u, d, work.p, work.b, there, left)
-            if there[x.size] != 0.0 and event < MAX_EVENTS - 1:
-                taken = _reach(code, x, u, d, work, left)
-                _call_step(code[STEP], x, u, d, work.p, work.b, there, taken)
+            step_length = remaining
+            _call_step(code[STEP], x, u, d, work.p, work.b, after, remaining)
+            if after[x.size] != 0.0 and event < MAX_EVENTS - 1:
+                step_length = _reach(code, x, u, d, work, remaining)
+                _call_step(code[STEP], x, u, d, work.p, work.b, after, step_length)
             for i in range(x.size):
-                x[i] = there[i]
-            left -= taken
-            if not left > 0.0:
+                x[i] = after[i]
+            remaining -= step_length
+            if not remaining > 0.0:
                 break
 
 
 @compiled(inside=True)
 def tick_with_tangents(
-    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int,
-    which: NDArray[np.int64], columns: FloatArray, du: FloatArray,
-) -> None:  # fmt: skip
+    code: Code,
+    x: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    work: Work,
+    period: float,
+    steps: int,
+    which: NDArray[np.int64],
+    columns: FloatArray,
+    du: FloatArray,
+) -> None:
     """Move the states one period on, in the same steps as `tick`, and their derivatives with them, in place.
 
     `columns`, shape (n, k), are the derivatives by the parameters `which`, indices of those with tangents,
     and then by others; `du`, shape (m, k), are those of the inputs.
     """
-    there = work.there
+    after = work.after
     for _ in range(steps):
-        left = period / steps
+        remaining = period / steps
         for event in range(MAX_EVENTS):
-            h = left
-            there[x.size] = 1.0 if code[N_SWITCHES] and event < MAX_EVENTS - 1 else 0.0
+            h = remaining
+            after[x.size] = 1.0 if code[N_SWITCHES] and event < MAX_EVENTS - 1 else 0.0
             for _ in range(2):  # again, if the step would cross a kink
                 _call_tangents(
-                    code[TANGENTS], x, u, d, work.p, work.b, there, h, columns, du, which, which.size,
+                    code[TANGENTS],
+                    x,
+                    u,
+                    d,
+                    work.p,
+                    work.b,
+                    after,
+                    h,
+                    columns,
+                    du,
+                    which,
+                    which.size,
                     columns.shape[1],
-                )  # fmt: skip
-                if there[x.size] == 0.0:
+                )
+                if after[x.size] == 0.0:
                     break
-                h = _reach(code, x, u, d, work, left)
-                there[x.size] = 0.0
+                h = _reach(code, x, u, d, work, remaining)
+                after[x.size] = 0.0
             for i in range(x.size):
-                x[i] = there[i]
-            left -= h
-            if not left > 0.0:
+                x[i] = after[i]
+            remaining -= h
+            if not remaining > 0.0:
                 break
 
 
@@ -210,9 +241,14 @@ def advance(
 
 @compiled
 def advance_side_by_side(
-    code: Code, vectors: FloatArray, states: FloatArray, u: FloatArray, d: FloatArray, period: float,
+    code: Code,
+    vectors: FloatArray,
+    states: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    period: float,
     steps: int,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray]:
     """The states of several plants of one model one period later, shape (k, n), and their outputs then,
     shape (k, o); `vectors` has a row of parameters for each."""
     after = states.copy()
@@ -221,9 +257,9 @@ def advance_side_by_side(
         work = work_for(code, vectors[plant])
         x = after[plant]
         tick(code, x, u, d, work, period, steps)
-        call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
-        for k in range(work.seen.size):
-            outputs[plant, k] = work.seen[k]
+        call(code[OUTPUTS], x, u, d, work.p, work.b, work.outputs)
+        for k in range(work.outputs.size):
+            outputs[plant, k] = work.outputs[k]
     return after, outputs
 
 
@@ -253,15 +289,22 @@ def outputs_at(
     quantities = np.zeros(code[N_QUANTITIES])
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
     call(code[QUANTITIES], x, u, d, work.p, work.b, quantities)
-    call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
-    return work.seen, quantities
+    call(code[OUTPUTS], x, u, d, work.p, work.b, work.outputs)
+    return work.outputs, quantities
 
 
 @compiled
 def parts(
-    code: Code, vector: FloatArray, y: float, before: FloatArray, u: float, rest: float, d: FloatArray,
-    period: float, steps: int,
-) -> tuple[float, float, FloatArray]:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    y: float,
+    before: FloatArray,
+    u: float,
+    rest: float,
+    d: FloatArray,
+    period: float,
+    steps: int,
+) -> tuple[float, float, FloatArray]:
     """Movement of a measured output in one period due to the drive and to all else, and the states after it.
 
     States that the output does not show start from `before`, unless that is NaN. Those whose initial value
@@ -274,23 +317,23 @@ def parts(
     of_rest = scalar(rest)
     started = np.empty(code[N] * (2 + code[N_UNKNOWN]))
     call(code[START], scalar(y), of_u, d, work.p, work.b, started)
-    call(code[OUTPUT_SLOPES], started, of_u, d, work.p, work.b, work.shown)
+    call(code[OUTPUT_SLOPES], started, of_u, d, work.p, work.b, work.output_slopes)
     if not np.isnan(before[0]):
-        call(code[OUTPUTS], before, of_u, d, work.p, work.b, work.seen)
-        off = y - work.seen[0]
+        call(code[OUTPUTS], before, of_u, d, work.p, work.b, work.outputs)
+        deviation = y - work.outputs[0]
         for i in range(n):
-            if work.shown[i] == 0.0:
-                started[i] = before[i] + (started[n + i] * off if started[n + i] != 0.0 else 0.0)
-    call(code[OUTPUTS], started, of_u, d, work.p, work.b, work.seen)
-    begun = work.seen[0]
+            if work.output_slopes[i] == 0.0:
+                started[i] = before[i] + (started[n + i] * deviation if started[n + i] != 0.0 else 0.0)
+    call(code[OUTPUTS], started, of_u, d, work.p, work.b, work.outputs)
+    begun = work.outputs[0]
     after = started[:n].copy()
     idle = started[:n].copy()
     tick(code, after, of_u, d, work, period, steps)
     tick(code, idle, of_rest, d, work, period, steps)
-    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.seen)  # what acts at once is not a movement
-    passive = work.seen[0]
-    call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.seen)
-    return work.seen[0] - passive, passive - begun, after
+    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.outputs)  # what acts at once is not a movement
+    passive = work.outputs[0]
+    call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.outputs)
+    return work.outputs[0] - passive, passive - begun, after
 
 
 @compiled
@@ -307,15 +350,18 @@ def slopes_at(
     slopes = np.empty(n * (q + 1 + n + m))
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
     call(code[SLOPES], x, u, d, work.p, work.b, slopes)
-    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
+    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.output_slopes)
     rates = slopes[n * q : n * q + n].copy()
-    rest = slopes[n * q + n :]
+    of_outputs = slopes[n * q + n :]
     return (
-        rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy().reshape((n, m)),
-        slopes[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
-        work.shown[o * n : o * (n + q)].copy().reshape((o, q)),
-        work.shown[o * (n + q) :].copy().reshape((o, m)),
-    )  # fmt: skip
+        rates,
+        of_outputs[: n * n].copy().reshape((n, n)),
+        of_outputs[n * n :].copy().reshape((n, m)),
+        slopes[: n * q].copy().reshape((n, q)),
+        work.output_slopes[: o * n].copy().reshape((o, n)),
+        work.output_slopes[o * n : o * (n + q)].copy().reshape((o, q)),
+        work.output_slopes[o * (n + q) :].copy().reshape((o, m)),
+    )
 
 
 @compiled
@@ -348,9 +394,14 @@ def spectral_bound(matrix: FloatArray) -> float:
 
 @compiled
 def step_count(
-    code: Code, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float,
+    code: Code,
+    vector: FloatArray,
+    corners: FloatArray,
+    drives: FloatArray,
+    d: FloatArray,
+    period: float,
     limit: float,
-) -> int:  # fmt: skip
+) -> int:
     """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
     MAX_STEPS where the plant is too fast.
 
@@ -364,11 +415,11 @@ def step_count(
     work = work_for(code, vector)
     slopes = np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
-        for given in range(drives.shape[0]):
+        for drive_row in range(drives.shape[0]):
             for branch in range(2 ** min(switched, MAX_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
-                call(code[SLOPES], corners[k], drives[given], d, work.p, work.b, slopes)
+                call(code[SLOPES], corners[k], drives[drive_row], d, work.p, work.b, slopes)
                 fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)

@@ -48,9 +48,14 @@ def pid_step(
 
 @compiled(inside=True)
 def law_step(
-    law: LawCode, z: FloatArray, references: FloatArray, k: int, y: FloatArray, u: FloatArray,
+    law: LawCode,
+    z: FloatArray,
+    references: FloatArray,
+    k: int,
+    y: FloatArray,
+    u: FloatArray,
     after: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Write the commands u, shape (m,), of sample k, and the law's state after it, shape (q,).
 
     `references` has a row for each sample. A call with arrays takes several times as long as a PID does,
@@ -92,9 +97,9 @@ def law_step(
                 for j in range(m):
                     total += law[row + q + p + r + 1 + j] * u[j]
                 after[i - m] = total
-        taken = LOW + 2 * m + (m + q) * width
-        for i in range(m if law.size > taken else 0):
-            u[i] = min(max(u[i], law[taken + i]), law[taken + m + i])
+        limits_at = LOW + 2 * m + (m + q) * width
+        for i in range(m if law.size > limits_at else 0):
+            u[i] = min(max(u[i], law[limits_at + i]), law[limits_at + m + i])
 
 
 @compiled(inside=True)
@@ -109,10 +114,10 @@ def law_tangents(
     for i in range(m + q):
         for j in range(n):
             total = 0.0
-            for of in range(q):
-                total += slopes[i, of] * dz[of, j]
-            for of in range(p):
-                total += slopes[i, q + of] * dy[of, j]
+            for k in range(q):
+                total += slopes[i, k] * dz[k, j]
+            for k in range(p):
+                total += slopes[i, q + k] * dy[k, j]
             if i < m:
                 du[i, j] = total
             else:
@@ -135,9 +140,14 @@ def _cause(law: LawCode, z: FloatArray, reference: float) -> int:
 
 @compiled(inside=True)
 def law_slopes(
-    law: LawCode, z: FloatArray, references: FloatArray, k: int, y: FloatArray, u: FloatArray,
+    law: LawCode,
+    z: FloatArray,
+    references: FloatArray,
+    k: int,
+    y: FloatArray,
+    u: FloatArray,
     slopes: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Derivatives of the commands u of a sample, and then of the law's state after it, by its state z before
     it, and then by the readings: shape (m + q, q + p). A limited command does not depend on anything.
 
@@ -155,8 +165,11 @@ def law_slopes(
         per_second = law[DERIVATIVE] / law[PERIOD]
         wind = law[PERIOD] * law[BACK] * (free - 1.0)
         by_reading = -law[PROPORTIONAL] - per_second
-        slopes[0, 0], slopes[0, 1], slopes[0, 2] = free, -free * per_second, free * by_reading
-        slopes[1, 0], slopes[1, 1] = 1.0 + wind, -wind * per_second
+        slopes[0, 0] = free
+        slopes[0, 1] = -free * per_second
+        slopes[0, 2] = free * by_reading
+        slopes[1, 0] = 1.0 + wind
+        slopes[1, 1] = -wind * per_second
         slopes[1, 2] = wind * by_reading - law[PERIOD] * law[INTEGRAL]
         slopes[2, 2] = -1.0
     elif law[KIND] == TWO_LEVEL:
@@ -164,10 +177,12 @@ def law_slopes(
         cause = _cause(law, z, references[k, 0]) if u[0] != before else BY_TIME
         slopes[3, 3] = 1.0
         if cause == BY_TIME:
-            slopes[0, 1], slopes[2, 1] = (u[0] - before) / law[PERIOD], 1.0
+            slopes[0, 1] = (u[0] - before) / law[PERIOD]
+            slopes[2, 1] = 1.0
         elif cause == BY_READING:
             moved = y[0] - z[2]
-            slopes[0, 3], slopes[2, 3] = (u[0] - before) / moved, law[PERIOD] / moved
+            slopes[0, 3] = (u[0] - before) / moved
+            slopes[2, 3] = law[PERIOD] / moved
     elif law[KIND] == LINEAR:
         width = q + p + references.shape[1] + 1 + m
         for i in range(m + q):
@@ -175,16 +190,22 @@ def law_slopes(
             free = 1.0 if i >= m or law[LOW + i] < u[i] < law[LOW + m + i] else 0.0
             for j in range(q + p):
                 slopes[i, j] = free * law[row + j]
-            for of in range(m if i >= m else 0):
+            for command in range(m if i >= m else 0):
                 for j in range(q + p):
-                    slopes[i, j] += law[row + width - m + of] * slopes[of, j]
+                    slopes[i, j] += law[row + width - m + command] * slopes[command, j]
 
 
 @compiled(inside=True)
 def gain_slopes(
-    law: LawCode, z: FloatArray, references: FloatArray, k: int, y: FloatArray, u: FloatArray,
-    tuned: NDArray[np.int64], slopes: FloatArray,
-) -> None:  # fmt: skip
+    law: LawCode,
+    z: FloatArray,
+    references: FloatArray,
+    k: int,
+    y: FloatArray,
+    u: FloatArray,
+    tuned: NDArray[np.int64],
+    slopes: FloatArray,
+) -> None:
     """Derivatives of commands and next state, shape (m + q, t), by the gains at the places `tuned` of the
     law, shape (t,)."""
     q = z.size
@@ -199,9 +220,9 @@ def gain_slopes(
             change = ((-y[0] if law[ON_MEASUREMENT] != 0.0 else error) - z[1]) / law[PERIOD]
             free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
             unlimited = law[PROPORTIONAL] * error + z[0] + law[DERIVATIVE] * change
-            by = error if place == PROPORTIONAL else change if place == DERIVATIVE else 0.0
-            slopes[0, t] = free * by
-            slopes[1, t] = law[PERIOD] * law[BACK] * (free - 1.0) * by
+            derivative = error if place == PROPORTIONAL else change if place == DERIVATIVE else 0.0
+            slopes[0, t] = free * derivative
+            slopes[1, t] = law[PERIOD] * law[BACK] * (free - 1.0) * derivative
             if place == INTEGRAL:
                 slopes[1, t] += law[PERIOD] * error
             elif place == BACK:
@@ -212,10 +233,12 @@ def gain_slopes(
             cause = _cause(law, z, references[k, 0]) if u[0] != before else NOTHING
             longest = on and z[1] + law[PERIOD] >= law[MAX_ON]
             if cause == BY_TIME and place == (MAX_ON if longest else MIN_ON if on else MIN_OFF):
-                slopes[0, t], slopes[2, t] = -(u[0] - before) / law[PERIOD], -1.0
+                slopes[0, t] = -(u[0] - before) / law[PERIOD]
+                slopes[2, t] = -1.0
             elif cause == BY_READING and place == (ABOVE if on else BELOW):
                 moved = (z[2] - y[0]) if on else (y[0] - z[2])
-                slopes[0, t], slopes[2, t] = (u[0] - before) / moved, law[PERIOD] / moved
+                slopes[0, t] = (u[0] - before) / moved
+                slopes[2, t] = law[PERIOD] / moved
         elif law[KIND] == LINEAR:
             width = q + p + r + 1 + m
             row = (place - LOW - 2 * m) // width
@@ -243,9 +266,9 @@ def commands_of(
     """Commands, shape (N, m), of a law for set-points, shape (N, r), and readings, shape (N, p), from a state
     on; and its state after them, shape (q,)."""
     u = np.zeros((len(references), int(law[N_COMMANDS])))
-    at = z.copy()
+    state = z.copy()
     after = z.copy()
     for k in range(len(references)):
-        law_step(law, at, references, k, readings[k], u[k], after)
-        copy_into(after, at)
-    return u, at
+        law_step(law, state, references, k, readings[k], u[k], after)
+        copy_into(after, state)
+    return u, state

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.loop import LinearLaw
-from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.plant import Model, Parameters
 from twinmatch.signals import FloatArray, only
 
 MAX_STEPS = 60
@@ -83,16 +83,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
     n = states.size
     u = model.rest
     for _ in range(MAX_STEPS):
-        f, fx, fu, _, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
-        off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - y
-        slopes = np.block([[fx, fu], [hx, hu]]) * scales
-        size = np.max(np.abs(slopes), axis=1)
-        if not (np.isfinite(slopes).all() and (size > 0).all()):
+        step = _newton_step(parameters, Rest(states, u), y, row, scales)
+        if step is None:
             break
-        slopes = slopes / size[:, None]
-        if np.linalg.matrix_rank(slopes) < scales.size:
-            break
-        step = np.linalg.solve(slopes, -np.append(f, off) / size) * scales
         # Outside the plant's range its equations may be invalid: move by at most half the range per step.
         states = np.clip(states + step[:n], states - 0.5 * scales[:n], states + 0.5 * scales[:n])
         u = np.clip(u + step[n:], least - scales[n:], most + scales[n:])
@@ -100,12 +93,39 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
             if (least <= u).all() and (u <= most).all():
                 return Rest(states, u)
             break
-    held = ", ".join(f"{v:g} {o.unit}" for v, o in zip(y, model.plant.outputs.values(), strict=True))
-    names = [(len(drives) == 1 and drive.unit) or drive.name for drive in drives.values()]
-    limits = [f"between {low:g} and {high:g}" for low, high in zip(least, most, strict=True)]
-    within = ", ".join(f"{name} {ends}" for name, ends in zip(names, limits, strict=True))
-    raise PlantError(
-        f"{model.title}: no {within} holds it at {held}; give an operating point at which it can be held"
+    raise _not_held(model, y)
+
+
+def _newton_step(
+    parameters: Parameters, guess: Rest, y: FloatArray, row: FloatArray, scales: FloatArray
+) -> FloatArray | None:
+    """The step of states and inputs after which the linearised rates are zero and the outputs y; None if no
+    such step is determined."""
+    kernels = parameters.model.kernels
+    rates, fx, fu, _, hx, _, hu = kernels.slopes_at(parameters.vector, guess.states, guess.inputs, row)
+    outputs = kernels.outputs_at(parameters.vector, guess.states, guess.inputs, row)[0]
+    slopes = np.block([[fx, fu], [hx, hu]]) * scales
+    size = np.max(np.abs(slopes), axis=1)
+    if not (np.isfinite(slopes).all() and (size > 0).all()):
+        return None
+    slopes = slopes / size[:, None]
+    if np.linalg.matrix_rank(slopes) < scales.size:
+        return None
+    return np.asarray(np.linalg.solve(slopes, -np.append(rates, outputs - y) / size) * scales)
+
+
+def _not_held(model: Model, y: FloatArray) -> PlantError:
+    drives = model.plant.drives.values()
+    ranges = []
+    for drive in drives:
+        name = (len(drives) == 1 and drive.unit) or drive.name
+        low, high = drive.limits
+        ranges.append(f"{name} between {low:g} and {high:g}")
+    outputs = zip(y, model.plant.outputs.values(), strict=True)
+    levels = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
+    return PlantError(
+        f"{model.title}: no {', '.join(ranges)} holds it at {levels}; give an operating point at which it "
+        "can be held"
     )
 
 
@@ -117,8 +137,8 @@ def linearised(
     Raises:
         PlantError: as `rest_at`, or the plant is too fast for the period.
     """
-    rest = rest_at(parameters, output, disturbances)
-    return linearised_at(parameters, rest.states, rest.inputs, period, disturbances)
+    rest_point = rest_at(parameters, output, disturbances)
+    return linearised_at(parameters, rest_point.states, rest_point.inputs, period, disturbances)
 
 
 def linearised_at(
@@ -138,9 +158,16 @@ def linearised_at(
     n = states.size
     u = model.row_of("inputs", input)
     slopes = model.kernels.predict(
-        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period),
-        parameters.steps(period), np.zeros((2, 0), dtype=np.int64),
-    )  # fmt: skip
+        parameters.vector,
+        states.copy(),
+        np.zeros((n, n)),
+        np.zeros(n),
+        u,
+        row,
+        float(period),
+        parameters.steps(period),
+        np.zeros((2, 0), dtype=np.int64),
+    )
     *_, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
     A = slopes[:, :n].copy()
     B = slopes[:, n:].copy()

@@ -127,7 +127,7 @@ class PidGains(Law):
     }
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(getattr(self, each.name)) for each in fields(self)):
+        if not all(math.isfinite(getattr(self, gain.name)) for gain in fields(self)):
             raise PlantError(f"PID gains: {self} holds a value that is not finite")
         if self.period <= 0 or not self.low < self.high:
             raise PlantError(
@@ -138,10 +138,21 @@ class PidGains(Law):
     @property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
-        return np.array([
-            PID, self.period, 1, self.low, self.high, self.proportional, self.integral, self.derivative,
-            self.tracking, self.on_measurement,
-        ], dtype=np.float64)  # fmt: skip
+        return np.array(
+            [
+                PID,
+                self.period,
+                1,
+                self.low,
+                self.high,
+                self.proportional,
+                self.integral,
+                self.derivative,
+                self.tracking,
+                self.on_measurement,
+            ],
+            dtype=np.float64,
+        )
 
     @property
     def tracking(self) -> float:
@@ -197,7 +208,7 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         raise PlantError(f"controller state: the window holds {len(window)} sample; give at least two")
     error = window.reference - window.output
     moved = -window.output if gains.on_measurement else error
-    kept = 1.0 - gains.tracking * gains.period
+    kept_share = 1.0 - gains.tracking * gains.period
     free = next((k for k in range(1, len(window)) if not gains.saturates(float(window.input[k]))), None)
 
     def consistent(k: int) -> float:
@@ -205,11 +216,11 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         return _consistent_integral(gains, float(error[k]), change, float(window.input[k]))
 
     integral = consistent(1)
-    if free is not None and free > 1 and abs(kept) ** (free - 1) * _MAX_AMPLIFICATION >= 1:
+    if free is not None and free > 1 and abs(kept_share) ** (free - 1) * _MAX_AMPLIFICATION >= 1:
         integral = consistent(free)
         for k in range(free - 1, 0, -1):
-            integral += (1 - kept) * (integral - consistent(k)) / kept
-            integral -= gains.period * gains.integral * float(error[k]) / kept
+            integral += (1 - kept_share) * (integral - consistent(k)) / kept_share
+            integral -= gains.period * gains.integral * float(error[k]) / kept_share
     return PidState(_next_integral(gains, integral, consistent(1), float(error[1])), float(moved[1]))
 
 
@@ -286,25 +297,40 @@ class TwoLevel(Law):
     @property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
-        return np.array([
-            TWO_LEVEL, self.period, 1, self.off, self.on, self.below, self.above, self.least_on,
-            self.least_off, self.most_on,
-        ], dtype=np.float64)  # fmt: skip
+        return np.array(
+            [
+                TWO_LEVEL,
+                self.period,
+                1,
+                self.off,
+                self.on,
+                self.below,
+                self.above,
+                self.least_on,
+                self.least_off,
+                self.most_on,
+            ],
+            dtype=np.float64,
+        )
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (3,): whether it is on, for how long (since the
         first sample, if the command did not change), and the reading."""
         on = window.inputs[:2, 0] > 0.5 * (self.off + self.on)
-        held = self.least_on + self.least_off if on[0] == on[1] else 0.0
-        return np.array([float(on[1]), held, window.outputs[1, 0]])
+        lasted = self.least_on + self.least_off if on[0] == on[1] else 0.0
+        return np.array([float(on[1]), lasted, window.outputs[1, 0]])
 
     def saturates(self, u: float | FloatArray) -> bool:  # noqa: ARG002 (as of other laws)
         """Whether a command is on a limit: the two levels are its only commands."""
         return False
 
     def follow(
-        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray  # noqa: ARG002
-    ) -> FloatArray:  # fmt: skip
+        self,
+        state: FloatArray,
+        reference: FloatArray,  # noqa: ARG002
+        output: FloatArray,
+        u: FloatArray,
+    ) -> FloatArray:
         """The state after a sample with this command."""
         on = float(u[0] > 0.5 * (self.off + self.on))
         return np.array([on, state[1] + self.period if on == state[0] else 0.0, output[0]])
@@ -349,17 +375,25 @@ class LinearLaw(Law):
     they take all. Simulations count with them, derivatives do not."""
 
     def __post_init__(self) -> None:
-        for each in fields(LinearLaw)[:-2]:
-            object.__setattr__(self, each.name, np.array(getattr(self, each.name), dtype=np.float64))
+        for part in fields(LinearLaw)[:-2]:
+            object.__setattr__(self, part.name, np.array(getattr(self, part.name), dtype=np.float64))
         if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
             raise PlantError("linear law: C, D and E must be matrices with a row for each command")
         m, q = self.C.shape
         p = self.D.shape[1]
         r = self.E.shape[1]
         shapes = {
-            "A": (q, q), "B": (q, p), "D": (m, p), "E": (m, r), "F": (q, r), "G": (q, m), "offset": (m,),
-            "shift": (q,), "low": (m,), "high": (m,),
-        }  # fmt: skip
+            "A": (q, q),
+            "B": (q, p),
+            "D": (m, p),
+            "E": (m, r),
+            "F": (q, r),
+            "G": (q, m),
+            "offset": (m,),
+            "shift": (q,),
+            "low": (m,),
+            "high": (m,),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value.shape != shape or np.isnan(value).any():
@@ -416,12 +450,14 @@ class LinearLaw(Law):
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
         m = self.n_inputs
-        numbers = np.block([
-            [self.C, self.D, self.E, self.offset[:, None], np.zeros((m, m))],
-            [self.A, self.B, self.F, self.shift[:, None], self.G],
-        ])  # fmt: skip
-        taken = np.zeros(0) if self.drives is None else self.drives.ravel()
-        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel(), taken])
+        numbers = np.block(
+            [
+                [self.C, self.D, self.E, self.offset[:, None], np.zeros((m, m))],
+                [self.A, self.B, self.F, self.shift[:, None], self.G],
+            ]
+        )
+        drive_limits = np.zeros(0) if self.drives is None else self.drives.ravel()
+        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel(), drive_limits])
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (q,): the one with which it gives the recorded
@@ -430,27 +466,27 @@ class LinearLaw(Law):
         y = window.outputs
         r = window.references
         u = window.inputs
-        known = y @ self.B.T + r @ self.F.T + u @ self.G.T + self.shift
+        driven = y @ self.B.T + r @ self.F.T + u @ self.G.T + self.shift
         expected = u - y @ self.D.T - r @ self.E.T - self.offset
         free = (u > self.low) & (u < self.high)
-        at = np.zeros(q)
+        state_part = np.zeros(q)
         power = np.eye(q)
         rows = []
-        left = []
+        unexplained = []
         for k in range(2, len(window)):
             rows.append((self.C @ power)[free[k]])
-            left.append((expected[k] - self.C @ at)[free[k]])
-            at = self.A @ at + known[k]
+            unexplained.append((expected[k] - self.C @ state_part)[free[k]])
+            state_part = self.A @ state_part + driven[k]
             power = self.A @ power
             if len(rows) >= 4 * q + 2:
                 break
-        state: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
+        state: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(unexplained), rcond=None)[0]
         return state
 
     def saturates(self, u: float | FloatArray) -> bool:
         """Whether a command is on a limit."""
-        given = np.array(u, dtype=np.float64)
-        return bool(((given <= self.low) | (given >= self.high)).any())
+        commands = np.array(u, dtype=np.float64)
+        return bool(((commands <= self.low) | (commands >= self.high)).any())
 
     def follow(
         self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray

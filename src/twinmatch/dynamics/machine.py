@@ -20,16 +20,36 @@ from twinmatch.dynamics.code import Formulas, PlantFormulas
 from twinmatch.dynamics.declarations import PlantError
 
 FUNCTIONS: Final = (
-    "constants", "switches", "step", "tangents", "slopes", "outputs", "output_slopes", "start", "quantities"
-)  # fmt: skip
+    "constants",
+    "switches",
+    "step",
+    "tangents",
+    "slopes",
+    "outputs",
+    "output_slopes",
+    "start",
+    "quantities",
+)
 """Names of the functions of every plant. Each takes pointers to states x, inputs u, disturbances d,
 parameters and constants p, switches b, and to its results. `step` and `tangents` take a duration after these,
 `tangents` also the derivatives of the states (n × k), of the inputs (m × k), the unknowns of the first of
 these columns, their number, and k."""
 _INTRINSICS: Final = ("sqrt", "exp", "log", "sin", "cos", "fabs", "pow")
 _LIBRARY: Final = (
-    "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc"
-)  # fmt: skip
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "erf",
+    "erfc",
+)
 _OPERATIONS: Final[dict[type[ast.operator], tuple[Callable[..., float], Callable[..., Any]]]] = {
     ast.Add: (operator.add, ir.IRBuilder.fadd),
     ast.Sub: (operator.sub, ir.IRBuilder.fsub),
@@ -85,17 +105,23 @@ def _target_machine() -> Any:
     return binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
-        opt=3, reloc="pic", codemodel="default", jit=True,
-    )  # fmt: skip
+        opt=3,
+        reloc="pic",
+        codemodel="default",
+        jit=True,
+    )
 
 
 def _module(f: PlantFormulas) -> ir.Module:
     module = ir.Module("plant")
     for name, parts in (
-        ("constants", [f.constants]), ("slopes", [f.slopes]), ("outputs", [f.outputs]),
-        ("output_slopes", [f.output_slopes]), ("start", [f.start, f.start_slopes]),
+        ("constants", [f.constants]),
+        ("slopes", [f.slopes]),
+        ("outputs", [f.outputs]),
+        ("output_slopes", [f.output_slopes]),
+        ("start", [f.start, f.start_slopes]),
         ("quantities", [f.quantities]),
-    ):  # fmt: skip
+    ):
         function = _Function(module, name, _PLAIN, f)
         function.store([value for part in parts for value in function.results(part, {})])
         function.end()
@@ -114,9 +140,9 @@ def _write_step(module: ir.Module, f: PlantFormulas) -> None:
     """
     function = _Function(module, "step", _STEP, f)
     begun = _named("b", function.switches({}))
-    at, there = function.runge_kutta(lambda values: function.results(f.rates, values | begun))
-    crossed = function.builder.select(function.crossed(begun, at, there), _number(1.0), _number(0.0))
-    function.store([*there, crossed])
+    stages, after = function.runge_kutta(lambda values: function.results(f.rates, values | begun))
+    crossed = function.builder.select(function.crossed(begun, stages, after), _number(1.0), _number(0.0))
+    function.store([*after, crossed])
     function.end()
 
 
@@ -130,35 +156,35 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     n = f.n_states
     m = f.n_inputs
     q = f.n_unknown
-    columns, du, which, first, size = function.llvm.args[7:]
-    by: list[list[Any]] = []
+    columns, du, unknown_numbers, first, size = function.llvm.args[7:]
+    slopes_at_stages: list[list[Any]] = []
     begun = _named("b", function.switches({}))
 
     def rates(values: Values) -> list[Any]:
         slopes = function.results(f.slopes, values | begun)
-        by.append(slopes)
+        slopes_at_stages.append(slopes)
         return slopes[n * q : n * q + n]
 
-    at, there = function.runge_kutta(rates)
+    stages, after = function.runge_kutta(rates)
     place = builder.gep(function.llvm.args[5], [_int(n)])
     asked = builder.fcmp_ordered("!=", builder.load(place), _number(0.0))
-    with builder.if_then(builder.and_(asked, function.crossed(begun, at, there)), likely=False):
+    with builder.if_then(builder.and_(asked, function.crossed(begun, stages, after)), likely=False):
         builder.ret_void()
     builder.store(_number(0.0), place)
     by_unknown = builder.alloca(_DOUBLE, max(4 * n * q, 1))
-    for place, value in enumerate(value for stage in by for value in stage[: n * q]):
+    for place, value in enumerate(value for stage in slopes_at_stages for value in stage[: n * q]):
         builder.store(value, builder.gep(by_unknown, [_int(place)]))
-    x_slopes = [stage[n * q + n : n * q + n + n * n] for stage in by]
-    u_slopes = [stage[n * q + n + n * n :] for stage in by]
+    x_slopes = [stage[n * q + n : n * q + n + n * n] for stage in slopes_at_stages]
+    u_slopes = [stage[n * q + n + n * n :] for stage in slopes_at_stages]
     h = function.h
     half = builder.fmul(_number(0.5), function.h)
     sixth = builder.fdiv(h, _number(6.0))
 
-    def rate(i: int, stage: int, at: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
-        terms = [(x_slopes[stage][i * n + k], at[k]) for k in range(n)]
+    def rate(i: int, stage: int, of_x: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
+        terms = [(x_slopes[stage][i * n + k], of_x[k]) for k in range(n)]
         terms += [(u_slopes[stage][i * m + k], of_u[k]) for k in range(m)]
         products = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
-        if unknown is not None and not all(_is_zero(v) for v in by[stage][i * q : i * q + q]):
+        if unknown is not None and not all(_is_zero(v) for v in slopes_at_stages[stage][i * q : i * q + q]):
             place = builder.add(unknown, _int((stage * n + i) * q))
             products.append(builder.load(builder.gep(by_unknown, [place])))
         return functools.reduce(builder.fadd, products) if products else _number(0.0)
@@ -168,19 +194,19 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
         of_u = [builder.load(builder.gep(du, [builder.add(builder.mul(_int(k), size), j)])) for k in range(m)]
         before = [builder.load(place) for place in places]
         slopes: list[list[Any]] = []
-        at = before
+        stage_values = before
         for stage in range(4):
-            slopes.append([rate(i, stage, at, of_u, unknown) for i in range(n)])
+            slopes.append([rate(i, stage, stage_values, of_u, unknown) for i in range(n)])
             if stage < 3:
-                at = function.shifted(before, slopes[-1], half if stage < 2 else h)
+                stage_values = function.shifted(before, slopes[-1], half if stage < 2 else h)
         for place, value in zip(places, function.combined(before, slopes, sixth), strict=True):
             builder.store(value, place)
 
     with function.loop(_int(0), first) as j:
-        column(j, builder.load(builder.gep(which, [j])))
+        column(j, builder.load(builder.gep(unknown_numbers, [j])))
     with function.loop(first, size) as j:
         column(j, None)
-    function.store(there)
+    function.store(after)
     function.end()
 
 
@@ -212,28 +238,28 @@ class _Function:
 
     def results(self, formulas: Formulas, values: Values) -> list[Any]:
         """The results of formulas; `values` are those that are not in the given arrays."""
-        known = dict(values)
+        known_values = dict(values)
         for name, tree in formulas.common:
-            known[name] = self._evaluate(tree, known)
-        return [self._evaluate(tree, known) for tree in formulas.results]
+            known_values[name] = self._evaluate(tree, known_values)
+        return [self._evaluate(tree, known_values) for tree in formulas.results]
 
     def switches(self, values: Values) -> list[Any]:
         """The switches in order: a condition may use earlier ones."""
-        known = dict(values)
+        known_values = dict(values)
         states = []
         for i, tree in enumerate(self._formulas.switches.results):
-            on = self.builder.fcmp_ordered(">", self._evaluate(tree, known), _number(0.0))
+            on = self.builder.fcmp_ordered(">", self._evaluate(tree, known_values), _number(0.0))
             states.append(self.builder.select(on, _number(1.0), _number(0.0)))
-            known[f"b{i}"] = states[-1]
+            known_values[f"b{i}"] = states[-1]
         return states
 
-    def crossed(self, begun: Values, at: Sequence[Sequence[Any]], there: Sequence[Any]) -> Any:
+    def crossed(self, begun: Values, stages: Sequence[Sequence[Any]], after: Sequence[Any]) -> Any:
         """Whether a switch is not as at the step's begin, at one of its stages or after it."""
         differs: Any = ir.Constant(ir.IntType(1), 0)
-        for states in (there, *reversed(at[1:])):
+        for states in (after, *reversed(stages[1:])):
             for i, side in enumerate(self.switches(_named("x", states))):
-                other = self.builder.fcmp_ordered("!=", side, begun[f"b{i}"])
-                differs = self.builder.or_(differs, other)
+                differs_here = self.builder.fcmp_ordered("!=", side, begun[f"b{i}"])
+                differs = self.builder.or_(differs, differs_here)
         return differs
 
     def runge_kutta(self, rates: Callable[[Values], list[Any]]) -> tuple[list[list[Any]], list[Any]]:
@@ -242,13 +268,13 @@ class _Function:
         builder = self.builder
         begun = [self.value(f"x{i}") for i in range(n)]
         half = builder.fmul(_number(0.5), self.h)
-        at = [begun]
+        stages = [begun]
         slopes = []
         for length in (half, half, self.h, None):
-            slopes.append(rates(_named("x", at[-1])))
+            slopes.append(rates(_named("x", stages[-1])))
             if length is not None:
-                at.append(self.shifted(begun, slopes[-1], length))
-        return at, self.combined(begun, slopes, builder.fdiv(self.h, _number(6.0)))
+                stages.append(self.shifted(begun, slopes[-1], length))
+        return stages, self.combined(begun, slopes, builder.fdiv(self.h, _number(6.0)))
 
     def shifted(self, begun: Sequence[Any], slopes: Sequence[Any], h: Any) -> list[Any]:
         """Values moved along slopes."""
@@ -319,14 +345,14 @@ class _Function:
         b = self.builder
         if not (isinstance(exponent, ir.Constant) and float(exponent.constant).is_integer()):
             return self._call("pow", [base, exponent])
-        left = abs(int(exponent.constant))
+        remaining = abs(int(exponent.constant))
         result = None
         value = base
-        while left:
-            if left & 1:
+        while remaining:
+            if remaining & 1:
                 result = value if result is None else b.fmul(result, value)
-            left >>= 1
-            if left:
+            remaining >>= 1
+            if remaining:
                 value = b.fmul(value, value)
         result = _number(1.0) if result is None else result
         return b.fdiv(_number(1.0), result) if exponent.constant < 0 else result

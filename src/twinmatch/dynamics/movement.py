@@ -52,12 +52,15 @@ def effect_of(plant: type[Plant], period: float) -> InputEffect:
     range counts as a step.
     """
     linear = _linear(plant.model().typical(), period)
+    p = len(plant.outputs)
+    m = len(plant.drives)
     if linear is not None:
-        return InputEffect(*linear[:3], np.zeros((linear.C.shape[0], linear.B.shape[1])))
-    steps = np.array([y.least_step for y in plant.outputs.values()])
-    ranges = np.array([high - low for low, high in (u.limits for u in plant.drives.values())])
+        return InputEffect(A=linear.A, B=linear.B, C=linear.C, D=np.zeros((p, m)))
+    steps = np.array([output.least_step for output in plant.outputs.values()])
+    limits = np.array([drive.limits for drive in plant.drives.values()], dtype=np.float64)
+    ranges = limits[:, 1] - limits[:, 0]
     direct = np.outer(steps, 1.0 / (_SHARE * ranges))
-    return InputEffect(np.zeros((0, 0)), np.zeros((0, ranges.size)), np.zeros((steps.size, 0)), direct)
+    return InputEffect(A=np.zeros((0, 0)), B=np.zeros((0, m)), C=np.zeros((p, 0)), D=direct)
 
 
 def _linear(parameters: Parameters, period: float) -> Linear | None:
@@ -66,10 +69,13 @@ def _linear(parameters: Parameters, period: float) -> Linear | None:
         return None
     try:
         with np.errstate(all="ignore"):
-            found = linearised_at(parameters, *rest_of(parameters), period)
+            linear = linearised_at(parameters, *rest_of(parameters), period)
     except PlantError:  # too fast for this period
         return None
-    return found if all(np.isfinite(one).all() and one.any() for one in found[:3]) else None
+    for matrix in (linear.A, linear.B, linear.C):
+        if not np.isfinite(matrix).all() or not matrix.any():
+            return None
+    return linear
 
 
 class ExpectedMovement:
@@ -91,7 +97,7 @@ class ExpectedMovement:
         if self._from is None:
             self._from = inputs
         moved = inputs - self._from
-        of = self._effect
-        deviation = of.C @ self._states + of.D @ moved
-        self._states = of.A @ self._states + of.B @ moved
+        effect = self._effect
+        deviation = effect.C @ self._states + effect.D @ moved
+        self._states = effect.A @ self._states + effect.B @ moved
         return np.asarray(deviation)

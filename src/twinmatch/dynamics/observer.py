@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.filters import adapt, follow
-from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.plant import Model, Parameters
 from twinmatch.dynamics.simulation import begin, signal_rows
 from twinmatch.signals import FloatArray, finite
 
@@ -30,6 +30,41 @@ class RandomWalk(NamedTuple):
     """Standard deviation of its change per second, in its unit; grows with the root of time."""
     start: float
     """Initial standard deviation."""
+
+
+class KernelArguments(NamedTuple):
+    """What compiled code needs of an observer, and does not change."""
+
+    model: Model
+    code: NDArray[np.int64]
+    vector: FloatArray
+    """Parameters, shape (p,)."""
+    steps: int
+    """Integration steps in a period."""
+    period: float
+    """Sample time, s."""
+    noise: FloatArray
+    """Standard deviations of the readings, shape (o,)."""
+    limit: float
+    n_states: int
+    n_disturbances: int
+    n_factors: int
+    """1 if it adapts, otherwise 0."""
+
+
+class ObserverArrays(NamedTuple):
+    """What compiled code changes of an observer."""
+
+    states: FloatArray
+    """Shape (n,)."""
+    joint: FloatArray
+    """Covariance of the states, shape (n, n)."""
+    process_noise: FloatArray
+    """Variances added in a period, shape (n,)."""
+    factor: FloatArray
+    """Factor on these, shape (1,), or (0,) if it does not adapt."""
+    disturbances: FloatArray
+    """Those at the newest sample, shape (d,)."""
 
 
 class Observer:
@@ -175,9 +210,17 @@ class Observer:
         self._row = self._model.disturbance_row(disturbances)
         u = self._model.rest if input is None else self._model.row_of("inputs", input)
         correction: tuple[FloatArray, FloatArray] = self._kernels.correct(
-            self._vector, self._states, self._joint, y, self._row, u, self._noise, self._limit,
-            self._which, self._bounds,
-        )  # fmt: skip
+            self._vector,
+            self._states,
+            self._joint,
+            y,
+            self._row,
+            u,
+            self._noise,
+            self._limit,
+            self._which,
+            self._bounds,
+        )
         if not math.isfinite(correction[0].sum() + correction[1].sum()):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
@@ -194,9 +237,45 @@ class Observer:
         if self.estimated:
             self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
-            self._vector, self._states, self._joint, self._process_noise, u, self._row,
-            self._period, self._steps, self._which,
-        )  # fmt: skip
+            self._vector,
+            self._states,
+            self._joint,
+            self._process_noise,
+            u,
+            self._row,
+            self._period,
+            self._steps,
+            self._which,
+        )
+
+    @property
+    def kernel_arguments(self) -> KernelArguments:
+        """What compiled code needs to move it."""
+        return KernelArguments(
+            model=self._model,
+            code=self._kernels.code,
+            vector=self._vector,
+            steps=self._steps,
+            period=self._period,
+            noise=self._noise,
+            limit=self._limit,
+            n_states=self._states.size,
+            n_disturbances=self._row.size,
+            n_factors=self._factor.size,
+        )
+
+    def move_into(self, arrays: ObserverArrays) -> None:
+        """Keep its numbers in these arrays from now on, so that others can move it with many at once."""
+        arrays.states[:] = self._states
+        arrays.joint[:] = self._joint
+        arrays.process_noise[:] = self._process_noise
+        arrays.factor[:] = self._factor
+        arrays.disturbances[:] = self._row
+        self._states = arrays.states
+        self._joint = arrays.joint
+        self._process_noise = arrays.process_noise
+        self._factor = arrays.factor
+        self._row = arrays.disturbances
 
     def _first_covariance(
         self, start: ArrayLike | None, covariance: ArrayLike | None, estimated: list[float]
@@ -210,22 +289,22 @@ class Observer:
         if covariance is None:
             joint[:n, :n] = np.diag(np.square(self._deviations("start", start, n)))
             return joint
-        given = np.array(covariance, dtype=np.float64)
-        if given.shape not in {(n, n), (n + m, n + m)} or not finite(given):
-            msg = f"{self._title}: a covariance of shape {given.shape} given; give finite values, ({n}, {n})"
+        matrix = np.array(covariance, dtype=np.float64)
+        if matrix.shape not in {(n, n), (n + m, n + m)} or not finite(matrix):
+            msg = f"{self._title}: a covariance of shape {matrix.shape} given; give finite values, ({n}, {n})"
             raise PlantError(f"{msg} or ({n + m}, {n + m})" if m else msg)
-        size = given.shape[0]
-        joint[:size, :size] = 0.5 * (given + given.T)
+        size = matrix.shape[0]
+        joint[:size, :size] = 0.5 * (matrix + matrix.T)
         return joint
 
     def _deviations(self, name: str, values: ArrayLike | None, size: int) -> FloatArray:
-        given = np.array(values, dtype=np.float64)
-        if given.shape != (size,) or not (np.isfinite(given) & (given >= 0)).all():
+        deviations = np.array(values, dtype=np.float64)
+        if deviations.shape != (size,) or not (np.isfinite(deviations) & (deviations >= 0)).all():
             raise PlantError(
-                f"{self._title}: {name} {given.tolist()} given; give {size} finite standard deviations, "
+                f"{self._title}: {name} {deviations.tolist()} given; give {size} finite standard deviations, "
                 f"none negative ({', '.join((*self._model.states, *self.estimated)[:size])})"
             )
-        return given
+        return deviations
 
 
 class ObserverBank:
@@ -236,38 +315,44 @@ class ObserverBank:
 
     def __init__(self, observers: Sequence[Observer]) -> None:
         """Begin with at least one observer; all have the same period, limit and noise; all adapt or none."""
-        first = observers[0]
-        self._model = first._model
-        self._same = (first._period, first._noise, first._limit)
-        self._sizes = np.array([(o._states.size, o._vector.size) for o in observers], dtype=np.int64)
-        self._codes = np.stack([o._kernels.code for o in observers])
-        self._steps = np.array([o._steps for o in observers], dtype=np.int64)
         count = len(observers)
+        all_arguments = [observer.kernel_arguments for observer in observers]
+        first = all_arguments[0]
+        self._model = first.model
+        self._same = (first.period, first.noise, first.limit)
+        self._sizes = np.zeros((count, 2), dtype=np.int64)
+        self._codes = np.stack([arguments.code for arguments in all_arguments])
+        self._steps = np.array([arguments.steps for arguments in all_arguments], dtype=np.int64)
+        for i, arguments in enumerate(all_arguments):
+            self._sizes[i] = arguments.n_states, arguments.vector.size
         most, longest = self._sizes.max(axis=0)
+        self._vectors = np.zeros((count, longest))
         self._states = np.zeros((count, most))
         self._noises = np.zeros((count, most))
-        self._vectors = np.zeros((count, longest))
         self._joints = np.zeros((count, most * most))
-        self._rows = np.stack([o._row for o in observers])
-        self._factors = np.zeros((count, first._factor.size))
-        for i, o in enumerate(observers):
+        self._rows = np.zeros((count, first.n_disturbances))
+        self._factors = np.zeros((count, first.n_factors))
+        for i, observer in enumerate(observers):
             n, m = self._sizes[i]
-            states = self._states[i, :n]
-            joint = self._joints[i, : n * n].reshape(n, n)
-            states[:] = o._states
-            joint[:] = o._joint
-            self._noises[i, :n] = o._process_noise
-            self._vectors[i, :m], self._factors[i] = o._vector, o._factor
-            o._states = states
-            o._joint = joint
-            o._row = self._rows[i]
-            o._process_noise = self._noises[i, :n]
-            o._factor = self._factors[i]
+            self._vectors[i, :m] = all_arguments[i].vector
+            observer.move_into(
+                ObserverArrays(
+                    states=self._states[i, :n],
+                    joint=self._joints[i, : n * n].reshape(n, n),
+                    process_noise=self._noises[i, :n],
+                    factor=self._factors[i],
+                    disturbances=self._rows[i],
+                )
+            )
 
     def push(
-        self, inputs: ArrayLike, outputs: ArrayLike, seen: ArrayLike = (True,),
-        disturbances: ArrayLike | None = None, now: ArrayLike | None = None,
-    ) -> list[int]:  # fmt: skip
+        self,
+        inputs: ArrayLike,
+        outputs: ArrayLike,
+        seen: ArrayLike = (True,),
+        disturbances: ArrayLike | None = None,
+        now: ArrayLike | None = None,
+    ) -> list[int]:
         """Move on by N periods, each under the inputs of the sample before, shape (N, i), to the readings,
         shape (N, o), that were `seen`, shape (N,), under the inputs `now` of these samples (default: the
         drives at rest), which count where an output depends on them at once; signals of one column may have
@@ -278,14 +363,28 @@ class ObserverBank:
             the next; then nothing of it is of use.
         """
         model = self._model
-        among = self._same[1].size
-        u = signal_rows(model.title, "input", inputs, model.rest.size)
-        y = np.array(outputs, dtype=np.float64).reshape(len(u), among)
-        still = np.tile(model.rest, (len(u), 1))
-        own = still if now is None else signal_rows(model.title, "input", now, model.rest.size)
-        taken: list[int] = follow(
-            self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._factors,
-            self._rows, self._steps, u, own, np.array(seen, dtype=np.bool_), y,
-            model.disturbance_rows(disturbances, len(u)), *self._same,
-        ).tolist()  # fmt: skip
-        return taken
+        m = model.rest.size
+        inputs_before = signal_rows(model.title, "input", inputs, m)
+        size = len(inputs_before)
+        inputs_now = np.tile(model.rest, (size, 1))
+        if now is not None:
+            inputs_now = signal_rows(model.title, "input", now, m)
+        _, noise, _ = self._same
+        counts: list[int] = follow(
+            self._codes,
+            self._sizes,
+            self._vectors,
+            self._states,
+            self._joints,
+            self._noises,
+            self._factors,
+            self._rows,
+            self._steps,
+            inputs_before,
+            inputs_now,
+            np.array(seen, dtype=np.bool_),
+            np.array(outputs, dtype=np.float64).reshape(size, noise.size),
+            model.disturbance_rows(disturbances, size),
+            *self._same,
+        ).tolist()
+        return counts

@@ -69,8 +69,11 @@ def time_constant(plant: type[Plant]) -> float:
     """
     if plant.time_constant:
         return plant.time_constant
-    own = [plant.model(name) for name, one in plant.structures.items() if one.external is None]
-    return max((_slowest(model.typical()) for model in own), default=0.0)
+    slowest = 0.0
+    for name, structure in plant.structures.items():
+        if structure.external is None:
+            slowest = max(slowest, _slowest(plant.model(name).typical()))
+    return slowest
 
 
 def _slowest(parameters: Parameters) -> float:
@@ -83,12 +86,15 @@ def _slowest(parameters: Parameters) -> float:
 
 def _slow_mode(fx: FloatArray, fu: FloatArray, hx: FloatArray) -> float:
     """Time constant of the slowest mode, s, that the outputs show after a step of an input."""
-    if not (fx.size and all(np.isfinite(one).all() for one in (fx, fu, hx))):
+    if not (fx.size and all(np.isfinite(matrix).all() for matrix in (fx, fu, hx))):
         return 0.0
     rates, modes = np.linalg.eig(fx)
     decays = np.abs(rates.real)
-    moves = decays > _STANDS * np.max(np.abs(rates))
+    sizes = np.abs(rates)
+    decays_at_all = decays > _STANDS * np.max(sizes)
     driven = np.linalg.lstsq(modes, fu.astype(complex), rcond=None)[0]
-    shares = np.max(np.abs(hx @ modes), axis=0) * np.max(np.abs(driven), axis=1) / np.abs(rates)
-    shown = moves & (shares >= _SHOWN * np.max(shares[moves], initial=0.0))
-    return float(1.0 / np.min(decays[shown])) if shown.any() else 0.0
+    shown_by_outputs = np.max(np.abs(hx @ modes), axis=0)
+    driven_by_inputs = np.max(np.abs(driven), axis=1)
+    shares = shown_by_outputs * driven_by_inputs / sizes
+    is_shown = decays_at_all & (shares >= _SHOWN * np.max(shares[decays_at_all], initial=0.0))
+    return float(1.0 / np.min(decays[is_shown])) if is_shown.any() else 0.0

@@ -53,10 +53,10 @@ class FilteredPid:
     """Greatest u."""
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            if not abs(getattr(self, each.name)) <= GREATEST:  # true for NaN, too
+        for gain in fields(self):
+            if not abs(getattr(self, gain.name)) <= GREATEST:  # true for NaN, too
                 raise PlantError(
-                    f"pid: {each.name} is {getattr(self, each.name):g}; give a finite number, of at most "
+                    f"pid: {gain.name} is {getattr(self, gain.name):g}; give a finite number, of at most "
                     f"{GREATEST:g} in size"
                 )
         if self.filter < 0 or not self.low < self.high:
@@ -91,12 +91,23 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
         raise PlantError(
             f"pid: {len(pids)} given at a period of {period:g} s; give one, and a positive period"
         )
-    parts = [_matrices(each, period) for each in pids]
-    a, b, c, d, e, f, g = (block_diag(*matrices) for matrices in zip(*parts, strict=True))
-    offset = np.array([each.offset for each in pids])
-    windup = -g @ offset
-    low, high = ([getattr(each, end) for each in pids] for end in ("low", "high"))
-    return LinearLaw(a, b, c, d, e, f, g, offset, windup, np.array(low), np.array(high), period)
+    parts = [_matrices(pid, period) for pid in pids]
+    A, B, C, D, E, F, G = (block_diag(*matrices) for matrices in zip(*parts, strict=True))
+    offset = np.array([pid.offset for pid in pids])
+    return LinearLaw(
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        E=E,
+        F=F,
+        G=G,
+        offset=offset,
+        shift=-G @ offset,
+        low=np.array([pid.low for pid in pids]),
+        high=np.array([pid.high for pid in pids]),
+        period=period,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,19 +124,17 @@ class PidLoops(LinearLaw):
         Raises:
             PlantError: there is none, or they have several sample times.
         """
-        periods = {each.period for each in pids}
+        periods = {gains.period for gains in pids}
         if len(periods) != 1:
             raise PlantError(f"pid: {len(pids)} given, every {sorted(periods)} s; give PIDs of one period")
-        law = pid_law([FilteredPid.of(each) for each in pids], periods.pop())
-        return cls(**{each.name: getattr(law, each.name) for each in fields(law)}, pids=pids)
+        law = pid_law([FilteredPid.of(gains) for gains in pids], periods.pop())
+        return cls(**{field.name: getattr(law, field.name) for field in fields(law)}, pids=pids)
 
     def at_period(self, period: float) -> PidLoops:
         """The same PIDs at another sample time, s."""
-        return (
-            self
-            if period == self.period
-            else PidLoops.of(*(replace(each, period=period) for each in self.pids))
-        )
+        if period == self.period:
+            return self
+        return PidLoops.of(*(replace(gains, period=period) for gains in self.pids))
 
 
 def pids_of(law: Law | None) -> tuple[PidGains, ...]:
@@ -137,17 +146,20 @@ def pids_of(law: Law | None) -> tuple[PidGains, ...]:
 
 def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
     """A, B, C, D, E, F and G of one; its second state is what the filter adds to the next derivative."""
-    kept = pid.filter / (pid.filter + period)
+    kept_share = pid.filter / (pid.filter + period)
     rate = pid.derivative / (pid.filter + period)
-    wound = period * pid.back_calculation
+    tracking = period * pid.back_calculation
+    integrated = period * pid.integral
+    filtered = rate * (1.0 - kept_share)
+    by_reading = -pid.proportional - rate
+    by_reference = pid.proportional * pid.weight + rate * pid.derivative_weight
     c = np.array([[1.0, 1.0]])
-    d = np.array([[-pid.proportional - rate]])
-    e = np.array([[pid.proportional * pid.weight + rate * pid.derivative_weight]])
-    a = np.array([[1.0, 0.0], [0.0, kept]]) - wound * np.array([[1.0], [0.0]]) @ c
-    moved = rate * (1.0 - kept)
-    b = np.array([[-period * pid.integral - wound * d[0, 0]], [moved]])
-    f = np.array([[period * pid.integral - wound * e[0, 0]], [-moved * pid.derivative_weight]])
-    g = np.array([[wound], [0.0]])
+    d = np.array([[by_reading]])
+    e = np.array([[by_reference]])
+    a = np.array([[1.0, 0.0], [0.0, kept_share]]) - tracking * np.array([[1.0], [0.0]]) @ c
+    b = np.array([[-integrated - tracking * by_reading], [filtered]])
+    f = np.array([[integrated - tracking * by_reference], [-filtered * pid.derivative_weight]])
+    g = np.array([[tracking], [0.0]])
     if pid.integral == 0:
         return a[1:, 1:], b[1:], c[:, 1:], d, e, f[1:], g[1:]
     return a, b, c, d, e, f, g

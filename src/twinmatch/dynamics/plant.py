@@ -108,14 +108,14 @@ def channels(plant: type[Plant]) -> tuple[type[Plant], ...]:
     each. A plant with one input and one output is its only channel."""
     if plant.single:
         return (plant,)
-    found = []
+    single_channels = []
     for k in range(max(len(plant.outputs), len(plant.drives))):
         alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
         alone.channel_of = (plant, k)
         alone.outputs = _one_of(plant.outputs, k)
         alone.drives = _one_of(plant.drives, k)
-        found.append(alone)
-    return tuple(found)
+        single_channels.append(alone)
+    return tuple(single_channels)
 
 
 def channel(plant: type[Plant], k: int) -> type[Plant]:
@@ -125,11 +125,11 @@ def channel(plant: type[Plant], k: int) -> type[Plant]:
 
 def _one_of(declared: Mapping[str, _Declared], k: int) -> dict[str, _Declared]:
     """The k-th of several, called as its text says; of one that."""
-    name, one = list(declared.items())[min(k, len(declared) - 1)]
+    name, chosen = list(declared.items())[min(k, len(declared) - 1)]
     if len(declared) > 1:
-        one = replace(one)
-        one.__set_name__(type, one.text or name)
-    return {name: one}
+        chosen = replace(chosen)
+        chosen.__set_name__(type, chosen.text or name)
+    return {name: chosen}
 
 
 def corners_of(spans: Sequence[tuple[float, float]]) -> FloatArray:
@@ -142,13 +142,12 @@ def corners_of(spans: Sequence[tuple[float, float]]) -> FloatArray:
     n = len(spans)
     if n <= _ALL_CORNERS:
         return np.array(list(itertools.product(*spans)), dtype=np.float64)
+    identity = np.eye(n, dtype=np.int64)
+    none = np.zeros((1, n), dtype=np.int64)
     drawn = np.random.default_rng(n).integers(0, 2, (_SOME_CORNERS, n))
-    one = np.eye(n, dtype=np.int64)
-    upper = np.vstack(
-        [np.zeros((1, n), dtype=np.int64), np.ones((1, n), dtype=np.int64), one, 1 - one, drawn]
-    )
+    is_upper = np.vstack([none, 1 - none, identity, 1 - identity, drawn]) == 1
     low, high = np.array(spans, dtype=np.float64).T
-    return np.asarray(np.where(upper == 1, high, low))
+    return np.asarray(np.where(is_upper, high, low))
 
 
 _MODELS: dict[tuple[type[Plant], str], Model] = {}
@@ -177,8 +176,8 @@ class Model:
         if self.structure.external is not None:
             return self.structure.external.kernels_by(())
         parts = self.structure.parts
-        alike = [s for s in self.plant.structures.values() if s.parts == parts and s.external is None]
-        kernels = kernels_of(self.plant, parts, frozenset[str]().union(*(s.free for s in alike)))
+        sharing = [s for s in self.plant.structures.values() if s.parts == parts and s.external is None]
+        kernels = kernels_of(self.plant, parts, frozenset[str]().union(*(s.free for s in sharing)))
         if unused := [name for name in self.structure.free if name not in kernels.PARAMETERS]:
             place = f"plant {self.plant.name}, structure {self.structure_name!r}"
             raise PlantError(
@@ -208,16 +207,18 @@ class Model:
     @cached_property
     def declared(self) -> Mapping[str, Parameter]:
         """The parameters that the equations of this structure depend on, in the order of every array."""
-        own = self.structure.external.parameters if self.structure.external is not None else {}
-        known = {**self.plant.parameters, **own}
-        return {name: known[name] for name in self.kernels.PARAMETERS}
+        external_parameters = (
+            self.structure.external.parameters if self.structure.external is not None else {}
+        )
+        all_parameters = {**self.plant.parameters, **external_parameters}
+        return {name: all_parameters[name] for name in self.kernels.PARAMETERS}
 
     @cached_property
     def declared_states(self) -> tuple[State, ...]:
         """The states, in the order of every array of states."""
-        own = self.structure.external.states if self.structure.external is not None else {}
-        known = {**self.plant.states, **own}
-        return tuple(known[name] for name in self.states)
+        external_states = self.structure.external.states if self.structure.external is not None else {}
+        all_states = {**self.plant.states, **external_states}
+        return tuple(all_states[name] for name in self.states)
 
     @cached_property
     def instant(self) -> bool:
@@ -259,8 +260,8 @@ class Model:
 
     def typical(self) -> Parameters:
         """The typical values of the plant file, for the parameters of this structure."""
-        known = {n: v for n, v in self.plant.typical.items() if n in self.declared}
-        return Parameters(self, known)
+        values = {n: v for n, v in self.plant.typical.items() if n in self.declared}
+        return Parameters(self, values)
 
     @cached_property
     def disturbances(self) -> FloatArray:
@@ -327,8 +328,8 @@ class Model:
     @cached_property
     def drives(self) -> FloatArray:
         """Combinations of the drives' limits and rest values, shape (3ᵐ, m)."""
-        each = [(*drive.limits, drive.rest) for drive in self.plant.drives.values()]
-        return np.array(list(itertools.product(*each)), dtype=np.float64)
+        levels = [(*drive.limits, drive.rest) for drive in self.plant.drives.values()]
+        return np.array(list(itertools.product(*levels)), dtype=np.float64)
 
     @cached_property
     def rest(self) -> FloatArray:

@@ -34,11 +34,11 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     single = len(plant.outputs) == len(plant.drives) == 1
-    own = [name for name, structure in plant.structures.items() if structure.external is None]
-    for name in own:
+    local_structures = [name for name, structure in plant.structures.items() if structure.external is None]
+    for name in local_structures:
         model = plant.model(name)
         model.kernels  # noqa: B018 (compiled at the first use)
-        if single and name == own[0]:
+        if single and name == local_structures[0]:
             _use(model.parameters())
         yield model
 
@@ -50,28 +50,34 @@ def _use(parameters: Parameters) -> None:
     """
     model = parameters.model
     law = model.plant.loop
-    rest = model.plant.drive.rest
+    usual_input = model.plant.drive.rest
     period = 1.0 if law is None else law.period
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
-    quantities(parameters, advance(parameters, states, rest, period), rest)
-    advance_side_by_side([parameters], states[None], rest, period)
+    quantities(parameters, advance(parameters, states, usual_input, period), usual_input)
+    advance_side_by_side([parameters], states[None], usual_input, period)
     model.kernels.slopes_at(parameters.vector, states, model.rest, model.disturbances)
     # The kernel of the energy balance.
     model.kernels.parts(
-        parameters.vector, output, states, float(rest), float(rest), model.disturbances, period,
+        parameters.vector,
+        output,
+        states,
+        float(usual_input),
+        float(usual_input),
+        model.disturbances,
+        period,
         parameters.steps(period),
-    )  # fmt: skip
+    )
     observer = Observer(
         parameters, output, period=period, drift=np.ones(states.size), start=np.ones(states.size)
     )
     observer.correct(output)
-    observer.predict(rest)
+    observer.predict(usual_input)
     levels = np.full(_SAMPLES, output)
     foresight = Foresight([(parameters, ())], law, drift=[np.ones(states.size)], period=period)
-    now = foresight.at([states], [observer.joint], rest, None)
-    foresight.ahead(now, np.full(_SAMPLES, rest) if law is None else levels)
-    run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
+    loop_state = foresight.at([states], [observer.joint], usual_input, None)
+    foresight.ahead(loop_state, np.full(_SAMPLES, usual_input) if law is None else levels)
+    run = simulate_driven(parameters, np.full(_SAMPLES, usual_input), states=states, period=period)
     if law is not None:
         run = simulate_closed_loop(parameters, levels, states=states, law=law)
     disturbances = model.disturbance_rows(None, _SAMPLES)

@@ -142,10 +142,10 @@ def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust:
         return
     n = rows.shape[1] - 1
     square = weight * weight
-    left = square * rows[s, n] * rows[s, n]
-    lost = left
+    square_sum = square * rows[s, n] * rows[s, n]
+    lost = square_sum
     if robust:
-        root = np.sqrt(1.0 + left)
+        root = np.sqrt(1.0 + square_sum)
         square = square / root
         lost = 2.0 * (root - 1.0)
     for i in range(n):
@@ -160,10 +160,19 @@ def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust:
 
 @compiled
 def run(
-    code: Code, vector: FloatArray, x: FloatArray, law: LawCode, memory: FloatArray,
-    references: FloatArray, disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
-    period: float, steps: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    x: FloatArray,
+    law: LawCode,
+    memory: FloatArray,
+    references: FloatArray,
+    disturbances: FloatArray,
+    noise: FloatArray,
+    frozen: Any,
+    resolution: float,
+    period: float,
+    steps: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Outputs, shape (N, o), inputs, shape (N, inputs), and states before each tick, shape (N + 1, nx).
 
     `references`, shape (N, r), are those of the law, `memory` its state; `noise`, shape (N, o), is added to
@@ -175,35 +184,35 @@ def run(
     u = np.empty((size, code[N_INPUTS]))
     states = np.empty((size + 1, x.size))
     work = work_for(code, vector)
-    at = x.copy()
+    states_now = x.copy()
     z = memory.copy()
     after = memory.copy()
     last = np.zeros(outputs)
-    now = np.zeros(code[N_INPUTS])
+    inputs_now = np.zeros(code[N_INPUTS])
     kind = law[KIND]
     d = np.empty(disturbances.shape[1])
     for k in range(size):
         for i in range(d.size):  # no view of a row: each is counted
             d[i] = disturbances[k, i]
         for i in range(x.size):
-            states[k, i] = at[i]
+            states[k, i] = states_now[i]
         if kind == GIVEN:
-            for i in range(now.size):
-                now[i] = references[k, i]
-        call(code[OUTPUTS], at, now, d, work.p, work.b, work.seen)
+            for i in range(inputs_now.size):
+                inputs_now[i] = references[k, i]
+        call(code[OUTPUTS], states_now, inputs_now, d, work.p, work.b, work.outputs)
         for o in range(outputs):
-            last[o] = reading(work.seen[o], noise[k, o], frozen[k] and k > 0, resolution, last[o])
+            last[o] = reading(work.outputs[o], noise[k, o], frozen[k] and k > 0, resolution, last[o])
             y[k, o] = last[o]
         if kind == PID:
-            now[0], z[0], z[1] = pid_step(law, references[k, 0], last[0], z[0], z[1])
+            inputs_now[0], z[0], z[1] = pid_step(law, references[k, 0], last[0], z[0], z[1])
         elif kind != GIVEN:
-            law_step(law, z, references, k, last, now, after)
+            law_step(law, z, references, k, last, inputs_now, after)
             copy_into(after, z)
-        for i in range(now.size):
-            u[k, i] = now[i]
-        tick(code, at, now, d, work, period, steps)
+        for i in range(inputs_now.size):
+            u[k, i] = inputs_now[i]
+        tick(code, states_now, inputs_now, d, work, period, steps)
     for i in range(x.size):
-        states[size, i] = at[i]
+        states[size, i] = states_now[i]
     return y, u, states
 
 
@@ -237,9 +246,17 @@ def _pid_tangents(law: LawCode, u: float, dy: FloatArray, dz: FloatArray, du: Fl
 
 @compiled(innermost=True)
 def _store(
-    stored: Tangents, k: int, y: FloatArray, u: FloatArray, dy: FloatArray, du: FloatArray,
-    slopes: FloatArray, shown: FloatArray, columns: FloatArray, n: int,
-) -> None:  # fmt: skip
+    stored: Tangents,
+    k: int,
+    y: FloatArray,
+    u: FloatArray,
+    dy: FloatArray,
+    du: FloatArray,
+    slopes: FloatArray,
+    shown: FloatArray,
+    columns: FloatArray,
+    n: int,
+) -> None:
     """Store what is known of sample k before its tick, whose derivatives by states and inputs begin."""
     outputs = y.size
     inputs = u.size
@@ -274,7 +291,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     1/√(1 + r²). A run ends when its sum exceeds `limit`.
     """
     vector, law, x, columns, steps = start
-    which, tuned, memory, references, disturbances, measured, weights, robust, period = data
+    unknown_places, tuned, memory, references, disturbances, measured, weights, robust, period = data
     size = disturbances.shape[0]
     nx, n = columns.shape
     q = memory.size
@@ -283,13 +300,17 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     unknown = code[N_UNKNOWN]
     kind = law[KIND]
     compared = inputs if kind != GIVEN else 0
-    kept = size if stored else 0
+    kept_samples = size if stored else 0
     width = n + (nx + inputs if stored else 0)
     tangents = Tangents(
-        np.empty((kept, outputs)), np.empty((kept, inputs)), np.zeros((outputs + inputs, kept, n)),
-        np.empty((kept, nx, nx)), np.empty((kept, nx, inputs)), np.empty((kept, inputs + q, q + outputs)),
-        np.empty((kept, outputs, nx)),
-    )  # fmt: skip
+        np.empty((kept_samples, outputs)),
+        np.empty((kept_samples, inputs)),
+        np.zeros((outputs + inputs, kept_samples, n)),
+        np.empty((kept_samples, nx, nx)),
+        np.empty((kept_samples, nx, inputs)),
+        np.empty((kept_samples, inputs + q, q + outputs)),
+        np.empty((kept_samples, outputs, nx)),
+    )
     by_state = tangents.by_state
     by_input = tangents.by_input
     normal = np.zeros((n + 1, n + 1))
@@ -303,28 +324,29 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
         copy_into(columns[i], all_columns[i])
     slopes = np.zeros((inputs + q, q + outputs))
     of_gains = np.zeros((inputs + q, tuned.size))
-    at = x.copy()
+    states_now = x.copy()
     u = np.zeros(inputs)
     z = memory.copy()
     after = memory.copy()
     work = work_for(code, vector)
     d = np.empty(disturbances.shape[1])
-    shown = work.shown
-    y = work.seen
+    shown = work.output_slopes
+    y = work.outputs
     for k in range(size):
         for i in range(d.size):
             d[i] = disturbances[k, i]
         if kind == GIVEN:
             for i in range(inputs):
                 u[i] = references[k, i]
-        call(code[OUTPUTS], at, u, d, work.p, work.b, y)
-        call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
-        _output_tangents(shown, which, all_columns, dy, n, unknown)
+        call(code[OUTPUTS], states_now, u, d, work.p, work.b, y)
+        call(code[OUTPUT_SLOPES], states_now, u, d, work.p, work.b, shown)
+        _output_tangents(shown, unknown_places, all_columns, dy, n, unknown)
         if kind == PID and not tuned.size:
             u[0], after[0], after[1] = pid_step(law, references[k, 0], y[0], z[0], z[1])
             if stored:
                 law_slopes(law, z, references, k, y, u, slopes)
-            z[0], z[1] = after[0], after[1]
+            z[0] = after[0]
+            z[1] = after[1]
             _pid_tangents(law, u[0], dy, dz, du, n)
         elif kind != GIVEN:
             law_step(law, z, references, k, y, u, after)
@@ -332,8 +354,8 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
             law_tangents(slopes, dy, dz, du, moved, n)
             if tuned.size:
                 gain_slopes(law, z, references, k, y, u, tuned, of_gains)
-                first = which.size
-                last = which.size + tuned.size
+                first = unknown_places.size
+                last = unknown_places.size + tuned.size
                 for i in range(inputs + q):
                     for j in range(first, last):
                         if i < inputs:
@@ -354,7 +376,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
                 add_row(normal, of_inputs, i, weights[outputs + i, k], robust)
             if normal[n, n] > limit:
                 break
-        tick_with_tangents(code, at, u, d, work, period, steps, which, all_columns, du)
+        tick_with_tangents(code, states_now, u, d, work, period, steps, unknown_places, all_columns, du)
         if stored:
             for i in range(nx):
                 for j in range(nx):
@@ -379,8 +401,8 @@ def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
         p[problem.places[j]] = values[j]
     for j in range(tuned):
         law[data.tuned[j]] = values[n + j]
-    given = data.disturbances[0]
-    x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, given)
+    disturbances = data.disturbances[0]
+    x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, disturbances)
     columns = np.zeros((x.size, values.size))
     for i in range(x.size):
         for j in range(n):
@@ -391,9 +413,14 @@ def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
         columns[i, :n] = 0.0
         columns[i, n + tuned + k] = 1.0
     steps = step_count(
-        code, p, problem.corners, problem.drives, problem.default_disturbances, data.period,
+        code,
+        p,
+        problem.corners,
+        problem.drives,
+        problem.default_disturbances,
+        data.period,
         problem.rate_limit,
-    )  # fmt: skip
+    )
     return Start(p, law, x, columns, steps)
 
 
@@ -413,9 +440,9 @@ def normal_at(
     hessian = normal[:n, :n].copy()
     for j in range(n):
         if problem.pull[j] > 0.0:
-            off = values[j] - problem.expected[j]
-            cost += problem.pull[j] * off * off
-            gradient[j] += problem.pull[j] * off
+            deviation = values[j] - problem.expected[j]
+            cost += problem.pull[j] * deviation * deviation
+            gradient[j] += problem.pull[j] * deviation
             hessian[j, j] += problem.pull[j]
     return cost, gradient, hessian
 

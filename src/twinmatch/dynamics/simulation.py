@@ -320,7 +320,7 @@ def simulate_window(
         raise PlantError(msg)
     loop = law_for(parameters.model.plant, window.period, law)
     states = begin_window(parameters, window, starts)
-    seen = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
+    realisation = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
     name = "input"
     signal = window.inputs
     state = None
@@ -331,14 +331,20 @@ def simulate_window(
         state = loop.state(window)
         period = loop.period
     disturbances = window.disturbances[SKIPPED:]
-    return _run(parameters, name, signal[SKIPPED:], states, loop, state, disturbances, seen, period)
+    return _run(parameters, name, signal[SKIPPED:], states, loop, state, disturbances, realisation, period)
 
 
 def _run(  # noqa: PLR0917 (what a run needs)
-    parameters: Parameters, name: str, signal: ArrayLike, states: FloatArray, loop: Law | None,
-    controller: ArrayLike | None, disturbances: ArrayLike | None, sensor: SensorRealisation | None,
+    parameters: Parameters,
+    name: str,
+    signal: ArrayLike,
+    states: FloatArray,
+    loop: Law | None,
+    controller: ArrayLike | None,
+    disturbances: ArrayLike | None,
+    sensor: SensorRealisation | None,
     period: float,
-) -> Response:  # fmt: skip
+) -> Response:
     """Simulate the loop on set-points or, without one, the plant under its inputs."""
     model = parameters.model
     references = signal_rows(model.title, name, signal, n_references(model.plant, loop))
@@ -356,11 +362,20 @@ def _run(  # noqa: PLR0917 (what a run needs)
         frozen = np.array(sensor.frozen)
         resolution = float(sensor.resolution)
     steps = parameters.steps(period)
-    outputs, inputs, passed = model.kernels.run(
-        parameters.vector, np.array(states, dtype=np.float64), code, memory, references,
-        model.disturbance_rows(disturbances, size), noise, frozen, resolution, float(period), steps,
-    )  # fmt: skip
-    return Response(outputs, inputs, passed, steps)
+    outputs, inputs, state_rows = model.kernels.run(
+        parameters.vector,
+        np.array(states, dtype=np.float64),
+        code,
+        memory,
+        references,
+        model.disturbance_rows(disturbances, size),
+        noise,
+        frozen,
+        resolution,
+        float(period),
+        steps,
+    )
+    return Response(outputs, inputs, state_rows, steps)
 
 
 def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -> FloatArray:
@@ -372,8 +387,8 @@ def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -
     array = np.array(values, dtype=np.float64)
     rows = array[:, None] if array.ndim == 1 and columns == 1 else array
     if rows.ndim != 2 or rows.shape[1] != columns:
-        each = "one value" if columns == 1 else f"{columns} values"
-        raise PlantError(f"{title}: {name} has shape {array.shape}; give {each} per sample")
+        per_sample = "one value" if columns == 1 else f"{columns} values"
+        raise PlantError(f"{title}: {name} has shape {array.shape}; give {per_sample} per sample")
     if not finite(rows):
         bad = int(np.argmin(np.isfinite(rows).all(axis=1)))
         shown = rows[bad, 0] if columns == 1 else rows[bad]

@@ -44,11 +44,22 @@ _PROGRAMS = ("llvmlite", "sympy")
 
 
 KERNELS: Final = (
-    kernels.advance, kernels.advance_side_by_side, kernels.begin, kernels.outputs_at, kernels.parts,
-    kernels.slopes_at, kernels.step_count,
-    runs.normal_at, runs.run, runs.run_with_tangents, runs.search, runs.start_at,
-    filters.correct, filters.predict, filters.track,
-)  # fmt: skip
+    kernels.advance,
+    kernels.advance_side_by_side,
+    kernels.begin,
+    kernels.outputs_at,
+    kernels.parts,
+    kernels.slopes_at,
+    kernels.step_count,
+    runs.normal_at,
+    runs.run,
+    runs.run_with_tangents,
+    runs.search,
+    runs.start_at,
+    filters.correct,
+    filters.predict,
+    filters.track,
+)
 
 
 class Kernels:
@@ -67,10 +78,10 @@ class Kernels:
         self._owner, addresses = linked(machine_code)
         self.EQUATIONS = equations
         self.STATES, self.PARAMETERS, self.UNKNOWN, self.QUANTITIES = (
-            tuple(names[of]) for of in ("states", "parameters", "unknown", "quantities")
+            tuple(names[kind]) for kind in ("states", "parameters", "unknown", "quantities")
         )
-        known = {**addresses, **sizes, **{f"n_{of}": len(listed) for of, listed in names.items()}}
-        self.code = np.array([known[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
+        numbers = {**addresses, **sizes, **{f"n_{kind}": len(listed) for kind, listed in names.items()}}
+        self.code = np.array([numbers[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
         for kernel in KERNELS:
             setattr(self, kernel.__name__, functools.partial(kernel, self.code))
 
@@ -85,9 +96,9 @@ class Kernels:
 
 def cache_folder() -> Path:
     """Where machine code is kept."""
-    given = os.environ.get("TWINMATCH_CACHE")
-    if given:
-        return Path(given)
+    chosen = os.environ.get("TWINMATCH_CACHE")
+    if chosen:
+        return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
@@ -130,13 +141,13 @@ def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown:
         tell(f"the equations of {plant.name}")
     derived = derive(plant(), parts, unknown)
     formulas = plant_formulas(derived)
-    every = {
+    symbols_by_kind = {
         "states": derived.states,
         "parameters": derived.parameters,
         "unknown": derived.unknown,
         "quantities": derived.quantities,
     }
-    names = {what: [str(symbol) for symbol in symbols] for what, symbols in every.items()}
+    names = {kind: [str(symbol) for symbol in symbols] for kind, symbols in symbols_by_kind.items()}
     sizes = {
         "n_inputs": formulas.n_inputs,
         "n_outputs": formulas.n_outputs,
@@ -176,8 +187,8 @@ def _write_atomically(path: Path, content: bytes) -> None:
 
 
 def _fingerprint(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
-    what = (sys.version_info[:2], host(), plant.__qualname__, sorted(parts), sorted(unknown))
-    digest = hashlib.sha256(repr(what).encode())
+    identity = (sys.version_info[:2], host(), plant.__qualname__, sorted(parts), sorted(unknown))
+    digest = hashlib.sha256(repr(identity).encode())
     for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
@@ -209,10 +220,10 @@ def _sources(plant: type[PlantDefinition]) -> set[Path]:
             continue
         sources.add(path)
         for value in vars(module).values():
-            other = (
-                value if inspect.ismodule(value) else sys.modules.get(getattr(value, "__module__", "") or "")
-            )
-            beside = getattr(other, "__file__", None)
-            if beside is not None and Path(beside).parent == path.parent:
-                waiting.append(other)
+            imported = value
+            if not inspect.ismodule(value):
+                imported = sys.modules.get(getattr(value, "__module__", "") or "")
+            imported_file = getattr(imported, "__file__", None)
+            if imported_file is not None and Path(imported_file).parent == path.parent:
+                waiting.append(imported)
     return sources

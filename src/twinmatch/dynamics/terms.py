@@ -96,10 +96,10 @@ class Kinks:
             return args[0] * (2 * switch - 1)
         if isinstance(expression, sympy.Max | sympy.Min):
             result = args[0]
-            for other in args[1:]:
+            for candidate in args[1:]:
                 sign = 1 if isinstance(expression, sympy.Max) else -1
-                switch = self._switch(sign * (result - other))
-                result = switch * result + (1 - switch) * other
+                switch = self._switch(sign * (result - candidate))
+                result = switch * result + (1 - switch) * candidate
             return result
         return expression.func(*args)
 
@@ -225,8 +225,8 @@ class DelayLine:
             for i, state in enumerate(self._states)
         }
         value = sum(root[i] * state for i, state in enumerate(self._states))
-        first, *others = self._states
-        return Delayed(value, rates, {first: signal if start is None else start, **dict.fromkeys(others, 0)})
+        first, *later = self._states
+        return Delayed(value, rates, {first: signal if start is None else start, **dict.fromkeys(later, 0)})
 
 
 class DeadTime:
@@ -261,9 +261,11 @@ class DeadTime:
         low, high = self.span
         wide = _MARGIN * (high - low)
         for i in range(self.order):
-            own = f"{name}_{i}"
-            if own in vars(owner):
-                msg = f"plant {owner.__name__}: {own!r} is a state of the dead time {name!r}; rename it"
+            state_name = f"{name}_{i}"
+            if state_name in vars(owner):
+                msg = (
+                    f"plant {owner.__name__}: {state_name!r} is a state of the dead time {name!r}; rename it"
+                )
                 raise PlantError(msg)
             state = State(
                 unit=self.unit,
@@ -271,8 +273,8 @@ class DeadTime:
                 scale=0.1 * (high - low),
                 text=f"{self.text or name}: {'mean' if i == 0 else f'shape {i}'} over the dead time",
             )
-            state.__set_name__(owner, own)
-            setattr(owner, own, state)
+            state.__set_name__(owner, state_name)
+            setattr(owner, state_name, state)
 
     @overload
     def __get__(self, plant: None, owner: type) -> DeadTime: ...

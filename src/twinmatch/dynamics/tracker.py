@@ -119,27 +119,29 @@ class Assumed:
             parameters.vector, begin(parameters, np.zeros(noise.size)), model.rest, model.disturbances
         )[4]
         with np.errstate(divide="ignore"):
-            seen = np.min(noise[:, np.newaxis] / np.abs(slopes), axis=0)
-        shown = np.isfinite(seen)
-        seen[~shown] = 0.0
+            by_noise = np.min(noise[:, np.newaxis] / np.abs(slopes), axis=0)
+        shown = np.isfinite(by_noise)
+        by_noise[~shown] = 0.0
         scale = slow_scale(model.plant, period)
         push_time = _PUSH_TIME * scale
         fading = _MODEL_ERROR[3] * noise / period
-        drift = np.where(shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * state_scales)
+        drift = np.where(shown, _MODEL_ERROR[0] * by_noise, _MODEL_ERROR[1] * state_scales)
         return cls(
             free=tracked,
             shown=shown,
-            first=np.concatenate([
-                np.where(shown, 3.0 * seen, 0.5 * state_scales),
-                np.where(tracked.logged, _LOG_SPREAD, _SPREAD * scales),
-            ]),
+            first=np.concatenate(
+                [
+                    np.where(shown, 3.0 * by_noise, 0.5 * state_scales),
+                    np.where(tracked.logged, _LOG_SPREAD, _SPREAD * scales),
+                ]
+            ),
             # A plant sampled faster is assumed to be faster.
             drift=np.concatenate([drift / math.sqrt(period), _MODEL_ERROR[2] * scales / math.sqrt(scale)]),
             fading=fading,
             stray=fading * math.sqrt(2.0 / push_time),
             swift=float(_MODEL_ERROR[4]),
             keeps=(math.exp(-period / push_time), math.exp(-period / (_OFFSET_TIME * scale))),
-        )  # fmt: skip
+        )
 
 
 def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
@@ -192,7 +194,8 @@ class Tracker:
         keeps = np.ones(self.size)
         drift = np.zeros(self.size)
         keeps[self.fading], keeps[self.passing] = assumed.keeps
-        drift[: n + m], drift[self.fading] = assumed.drift, assumed.stray[0]
+        drift[: n + m] = assumed.drift
+        drift[self.fading] = assumed.stray[0]
         self._fading = float(assumed.fading[0])
         self._fixed = TrackerConstants(
             free=assumed.free,
@@ -234,11 +237,13 @@ class Tracker:
         and as uncertain as at the beginning, for what the equations leave out was moved, too."""
         passes = [*range(len(self.parameters.model.states)), self.passing, self.fading]
         values = before.values.copy()
+        values[passes] = belief.values[passes]
         covariance = before.covariance.copy()
-        values[passes], covariance[passes, :], covariance[:, passes] = belief.values[passes], 0.0, 0.0
+        covariance[passes, :] = 0.0
+        covariance[:, passes] = 0.0
         both = np.ix_(passes, passes)
-        opened = np.diag(np.append(self._first[: len(passes) - 2], [0.0, self._fading]) ** 2)
-        covariance[both] = belief.covariance[both] + opened
+        first_deviations = np.append(self._first[: len(passes) - 2], [0.0, self._fading])
+        covariance[both] = belief.covariance[both] + np.diag(first_deviations**2)
         return Belief(values, covariance)
 
     def run(
@@ -267,21 +272,22 @@ class Tracker:
         """The reading that is expected next, under inputs given, and its variance without noise, in the
         output's unit."""
         model = self.parameters.model
-        n = len(self.parameters.model.states)
-        free = self._fixed.free
-        vector = free.vector.copy()
+        n = len(model.states)
+        m = len(self.free)
+        tracked = self._fixed.free
+        vector = tracked.vector.copy()
+        vector[tracked.places] = [self.named(belief, name) for name in self.free]
         x = belief.values[:n]
         driven = given - model.rest
         u = model.rest + driven * (1.0 + belief.values[self.share])
-        vector[free.places] = [self.named(belief, name) for name in self.free]
         output = model.kernels.outputs_at(vector, x, u, disturbances)[0][0]
-        shown = model.kernels.slopes_at(vector, x, u, disturbances)
+        _, _, _, _, by_states, by_unknown, by_inputs = model.kernels.slopes_at(vector, x, u, disturbances)
         slope = np.zeros(self.size)
-        slope[:n], slope[[self.offset, self.passing]] = shown[4][0], 1.0
-        slope[self.share] = float(shown[6][0] @ driven)
-        slope[n : n + len(self.free)] = shown[5][0, free.which] * np.where(
-            self.logged, vector[free.places], 1.0
-        )
+        slope[:n] = by_states[0]
+        slope[[self.offset, self.passing]] = 1.0
+        slope[self.share] = float(by_inputs[0] @ driven)
+        by_logarithm = np.where(self.logged, vector[tracked.places], 1.0)
+        slope[n : n + m] = by_unknown[0, tracked.which] * by_logarithm
         offset = belief.values[self.offset] + belief.values[self.passing]
         return float(output + offset), float(slope @ belief.covariance @ slope)
 
@@ -324,14 +330,19 @@ class TrackedCourse:
         values = self._belief.values.copy()
         covariance = self._belief.covariance.copy()
         self._cost = self._tracker.track(
-            values, covariance, self._tracker.drifts[self._level], readings.part(self._done, size), opening,
-            traces or self._tracker.none, self._cost,
-        )  # fmt: skip
+            values,
+            covariance,
+            self._tracker.drifts[self._level],
+            readings.part(self._done, size),
+            opening,
+            traces or self._tracker.none,
+            self._cost,
+        )
         self._belief = Belief(values, covariance)
         self._done = size
         if math.isfinite(self._cost) and math.isfinite(values.sum() + covariance.sum()):
             return self._belief, self._cost
         output = readings.output[np.isfinite(readings.output)][-1]
         row = readings.disturbances[-1]
-        again = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)
-        return again, _IMPOSSIBLE * size
+        restarted = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)
+        return restarted, _IMPOSSIBLE * size

@@ -21,11 +21,24 @@ BANDED = 2
 
 @compiled
 def foresee_each(
-    codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, which: NDArray[np.int64],
-    x: FloatArray, joints: FloatArray, process_noise: FloatArray, steps: NDArray[np.int64],
-    wanted: NDArray[np.int64], u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,
-    disturbances: FloatArray, period: float, noise: FloatArray, swift: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    codes: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    vectors: FloatArray,
+    which: NDArray[np.int64],
+    x: FloatArray,
+    joints: FloatArray,
+    process_noise: FloatArray,
+    steps: NDArray[np.int64],
+    wanted: NDArray[np.int64],
+    u: FloatArray,
+    law: LawCode,
+    memory: FloatArray,
+    references: FloatArray,
+    disturbances: FloatArray,
+    period: float,
+    noise: FloatArray,
+    swift: float,
+) -> tuple[FloatArray, FloatArray]:
     """`foresee` for several plants, one row of each array per plant: means and variances of outputs, then
     inputs, shape (C, o + m, N); NaN where they are not `wanted`.
 
@@ -41,10 +54,23 @@ def foresee_each(
         n, p, q = sizes[i]
         joint = joints[i, : (n + q) ** 2].copy().reshape((n + q, n + q))
         outputs, inputs, of_outputs, of_inputs = foresee(
-            codes[i], vectors[i, :p], which[i, : 2 * q].reshape((2, q)), x[i, :n].copy(), joint,
-            process_noise[i, : n + q], u, law, memory, references, disturbances, period, steps[i], noise,
-            swift, wanted[i] == BANDED,
-        )  # fmt: skip
+            codes[i],
+            vectors[i, :p],
+            which[i, : 2 * q].reshape((2, q)),
+            x[i, :n].copy(),
+            joint,
+            process_noise[i, : n + q],
+            u,
+            law,
+            memory,
+            references,
+            disturbances,
+            period,
+            steps[i],
+            noise,
+            swift,
+            wanted[i] == BANDED,
+        )
         for k in range(len(references)):
             copy_into(outputs[k], means[i, :, k])
             copy_into(inputs[k], means[i, o:, k])
@@ -56,10 +82,23 @@ def foresee_each(
 
 @compiled(inside=True)
 def foresee(
-    code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
-    process_noise: FloatArray, u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,
-    disturbances: FloatArray, period: float, steps: int, noise: FloatArray, swift: float, banded: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    which: NDArray[np.int64],
+    x: FloatArray,
+    joint: FloatArray,
+    process_noise: FloatArray,
+    u: FloatArray,
+    law: LawCode,
+    memory: FloatArray,
+    references: FloatArray,
+    disturbances: FloatArray,
+    period: float,
+    steps: int,
+    noise: FloatArray,
+    swift: float,
+    banded: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Outputs, inputs and their variances; `x` and `joint` are those at the newest sample, and are changed;
     `noise` holds variances, shape (o,). Each sample's movement of a state is wrong by a share of it, with
     the standard deviation `swift`."""
@@ -105,8 +144,8 @@ def _variances(
     those that each tick adds. Later noise and drift enter the covariance of the loop's own state: those of
     the plant, then the law's.
     """
-    _, _, by, by_state, by_input, around, seen = loop
-    size, outputs, nx = seen.shape
+    _, _, by_unknown, by_state, by_input, around, output_slopes = loop
+    size, outputs, nx = output_slopes.shape
     inputs = by_input.shape[2]
     both = joint.shape[0]
     m = nx + around.shape[1] - inputs
@@ -123,13 +162,13 @@ def _variances(
         for j in range(both):
             first[i, j] = joint[(i + nx) % both, (j + nx) % both]
     for k in range(size):
-        _around_loop(around, seen, by_state, by_input, k, a, b, of_u)
+        _around_loop(around, output_slopes, by_state, by_input, k, a, b, of_u)
         for o in range(outputs):
             for i in range(nx):
-                of_y[i] = seen[k, o, i]
-            of_outputs[k, o] = max(noise[o] + _form(first, by[o, k]) + _form(later, of_y), 0.0)
+                of_y[i] = output_slopes[k, o, i]
+            of_outputs[k, o] = max(noise[o] + _form(first, by_unknown[o, k]) + _form(later, of_y), 0.0)
         for i in range(inputs):
-            total = _form(first, by[outputs + i, k]) + _form(later, of_u[i])
+            total = _form(first, by_unknown[outputs + i, k]) + _form(later, of_u[i])
             for o in range(outputs):
                 total += around[k, i, m - nx + o] ** 2 * noise[o]
             of_inputs[k, i] = max(total, 0.0)
@@ -173,8 +212,8 @@ def noise_effects(
     later, `power` the quadratic form of a disturbed state that gives the sum of the squared residuals from
     then on.
     """
-    _, _, _, by_state, by_input, around, seen = loop
-    size, outputs, nx = seen.shape
+    _, _, _, by_state, by_input, around, output_slopes = loop
+    size, outputs, nx = output_slopes.shape
     n = weighed.shape[2]
     inputs = by_input.shape[2]
     m = nx + around.shape[1] - inputs
@@ -185,15 +224,15 @@ def noise_effects(
     of_u = np.zeros((inputs, m))
     b = np.zeros(m)
     compared = inputs if closed else 0
-    for of in range(outputs):
+    for reading in range(outputs):
         ahead = np.zeros((m, n))
         power = np.zeros((m, m))
-        w = weights[of]
+        w = weights[reading]
         for k in range(size - 1, -1, -1):
-            _around_loop(around, seen, by_state, by_input, k, a, all_b, of_u)
-            out_y = w[of]
+            _around_loop(around, output_slopes, by_state, by_input, k, a, all_b, of_u)
+            out_y = w[reading]
             for i in range(m):
-                b[i] = all_b[i, of]
+                b[i] = all_b[i, reading]
             if k == 0:
                 # The twin starts at the first readings, so their noise shifts both, and only the plant's own
                 # movement afterwards differs.
@@ -202,18 +241,18 @@ def noise_effects(
                     b[i] = 0.0
                     if i < nx:
                         for j in range(nx):
-                            b[i] -= by_state[k, i, j] * started[j, of]
+                            b[i] -= by_state[k, i, j] * started[j, reading]
             for p in range(n):
-                score = out_y * weighed[of, k, p]
+                score = out_y * weighed[reading, k, p]
                 for i in range(compared if k > 0 else 0):
-                    score += w[outputs + i] * around[k, i, m - nx + of] * weighed[outputs + i, k, p]
+                    score += w[outputs + i] * around[k, i, m - nx + reading] * weighed[outputs + i, k, p]
                 for i in range(m):
                     score += b[i] * ahead[i, p]
-                scores[k * outputs + of, p] = score
+                scores[k * outputs + reading, p] = score
             squares += out_y * out_y + _power_form(power, b)
             for i in range(compared if k > 0 else 0):
-                squares += (w[outputs + i] * around[k, i, m - nx + of]) ** 2
-            ahead = _earlier(ahead, a, of_u, seen, weighed, w, k, compared)
+                squares += (w[outputs + i] * around[k, i, m - nx + reading]) ** 2
+            ahead = _earlier(ahead, a, of_u, output_slopes, weighed, w, k, compared)
             power = _congruent(power, a)
             for i in range(m):
                 for j in range(m):
@@ -221,15 +260,21 @@ def noise_effects(
                         power[i, j] += w[outputs + q] ** 2 * of_u[q, i] * of_u[q, j]
                     if i < nx and j < nx:
                         for o in range(outputs):
-                            power[i, j] += w[o] ** 2 * seen[k, o, i] * seen[k, o, j]
+                            power[i, j] += w[o] ** 2 * output_slopes[k, o, i] * output_slopes[k, o, j]
     return scores, squares / ((outputs + compared) * size)
 
 
 @compiled(inside=True)
 def _earlier(
-    ahead: FloatArray, a: FloatArray, of_u: FloatArray, seen: FloatArray, weighed: FloatArray, w: FloatArray,
-    k: int, compared: int,
-) -> FloatArray:  # fmt: skip
+    ahead: FloatArray,
+    a: FloatArray,
+    of_u: FloatArray,
+    seen: FloatArray,
+    weighed: FloatArray,
+    w: FloatArray,
+    k: int,
+    compared: int,
+) -> FloatArray:
     """The gradients of the sums by the state at sample k, from those one sample later."""
     m, n = ahead.shape
     outputs, nx = seen.shape[1:]
@@ -250,9 +295,15 @@ def _earlier(
 
 @compiled(innermost=True)
 def _around_loop(
-    around: FloatArray, seen: FloatArray, by_state: FloatArray, by_input: FloatArray, k: int, a: FloatArray,
-    b: FloatArray, of_u: FloatArray,
-) -> None:  # fmt: skip
+    around: FloatArray,
+    seen: FloatArray,
+    by_state: FloatArray,
+    by_input: FloatArray,
+    k: int,
+    a: FloatArray,
+    b: FloatArray,
+    of_u: FloatArray,
+) -> None:
     """Sample k of the linear loop; its state z holds those of the plant and of the law.
 
     With v, the noise of the readings: u = of_u·z + around·v, next z = a·z + b·v.
@@ -278,13 +329,13 @@ def _around_loop(
     for i in range(nx):
         for j in range(nx + q):
             total = by_state[k, i, j] if j < nx else 0.0
-            for of in range(inputs):
-                total += by_input[k, i, of] * of_u[of, j]
+            for input_number in range(inputs):
+                total += by_input[k, i, input_number] * of_u[input_number, j]
             a[i, j] = total
         for o in range(outputs):
             total = 0.0
-            for of in range(inputs):
-                total += by_input[k, i, of] * around[k, of, q + o]
+            for input_number in range(inputs):
+                total += by_input[k, i, input_number] * around[k, input_number, q + o]
             b[i, o] = total
 
 

@@ -290,16 +290,16 @@ def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outc
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
-        other, _, taken = descend(task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH)))
-        if other.cost < best.cost:
-            best = other
-            steps = taken
-    best, converged, taken = descend(task, best.theta, Rules(LAST, FINE))
-    steps += taken
+        retried, _, steps_taken = descend(task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH)))
+        if retried.cost < best.cost:
+            best = retried
+            steps = steps_taken
+    best, converged, steps_taken = descend(task, best.theta, Rules(LAST, FINE))
+    steps += steps_taken
     polished, _, _ = descend(task, best.theta, Rules(0, FINE, exact=True))
     if abs(polished.cost - best.cost) > LOST * best.cost:  # the normal equations had lost digits
-        polished, converged, taken = descend(task, best.theta, Rules(LAST, FINE, exact=True))
-        steps += taken
+        polished, converged, steps_taken = descend(task, best.theta, Rules(LAST, FINE, exact=True))
+        steps += steps_taken
     return polished, converged, steps
 
 

@@ -36,8 +36,8 @@ def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows
     column = 0
     for p in range(spans.shape[0]):
         for i in range(spans[p, COUNT]):
-            at = start - spans[p, DELAY] - i
-            source = signals[spans[p, SIGNAL], at : at + count]
+            first = start - spans[p, DELAY] - i
+            source = signals[spans[p, SIGNAL], first : first + count]
             target = rows[:count, column]
             for t in range(count):
                 target[t] = source[t]
@@ -110,8 +110,8 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
         c = signals[spans[third, SIGNAL], low - spans[third, DELAY] :]
         for q in range(groups):
             for i in range(0, spans[q, COUNT], 4):
-                at = low - spans[q, DELAY] - i - 3
-                products(a[:count], b, c, signals[spans[q, SIGNAL], at:], sums)
+                first_place = low - spans[q, DELAY] - i - 3
+                products(a[:count], b, c, signals[spans[q, SIGNAL], first_place:], sums)
                 column = corners[q] + i
                 for j in range(min(4, spans[q, COUNT] - i)):
                     leads[p, column + j] = sums[3 - j]
@@ -147,9 +147,18 @@ def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: Fl
         c1 += by_c * x1
         c2 += by_c * x2
         c3 += by_c * x3
-    out[0], out[1], out[2], out[3] = a0, a1, a2, a3
-    out[4], out[5], out[6], out[7] = b0, b1, b2, b3
-    out[8], out[9], out[10], out[11] = c0, c1, c2, c3
+    out[0] = a0
+    out[1] = a1
+    out[2] = a2
+    out[3] = a3
+    out[4] = b0
+    out[5] = b1
+    out[6] = b2
+    out[7] = b3
+    out[8] = c0
+    out[9] = c1
+    out[10] = c2
+    out[11] = c3
 
 
 @compiled
@@ -236,11 +245,11 @@ def take_from_rows(rows: FloatArray, count: int, k: int, work: FloatArray) -> No
         a2 = r2[k]
         a3 = r3[k]
         for j in range(k + 1, work.size):
-            by = work[j]
-            r0[j] -= a0 * by
-            r1[j] -= a1 * by
-            r2[j] -= a2 * by
-            r3[j] -= a3 * by
+            weight = work[j]
+            r0[j] -= a0 * weight
+            r1[j] -= a1 * weight
+            r2[j] -= a2 * weight
+            r3[j] -= a3 * weight
     for t in range(count // 4 * 4, count):
         for j in range(k + 1, work.size):
             rows[t, j] -= rows[t, k] * work[j]

@@ -62,9 +62,9 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
     """
     starts = [problem.values_of(start)]
     for changes in start.model.structure.starts:
-        known = {name: value for name, value in changes.items() if name in problem.free}
-        if known:
-            starts.append(problem.values_of(start.replace(**known)))
+        free_changes = {name: value for name, value in changes.items() if name in problem.free}
+        if free_changes:
+            starts.append(problem.values_of(start.replace(**free_changes)))
     return starts
 
 
@@ -72,9 +72,9 @@ def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; of equals the first."""
     best = problem.descend(starts[0], _MAX_EVALUATIONS)
     for start in starts[1:]:
-        found = problem.descend(start, _MAX_EVALUATIONS, best)
-        if found.cost < best.cost:
-            best = found
+        fit = problem.descend(start, _MAX_EVALUATIONS, best)
+        if fit.cost < best.cost:
+            best = fit
     return Estimate(problem, best.values, best.converged)
 
 
@@ -121,9 +121,9 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     sums, expected = problem.noise_scores(estimate.values)
     free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
-    known = len(problem.free)
+    n_free = len(problem.free)
     pull = problem.experiment.pull
-    scores[:known, :known] += np.diag(LASTING * pull)
+    scores[:n_free, :n_free] += np.diag(LASTING * pull)
     return _uncertainty_of(fisher, scores, problem.scales)
 
 
@@ -154,19 +154,19 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
     minimum then matches the variance, and its shape farther out is that of the twin. An end that a bound
     cuts off is infinite; if that bound is zero, the end is zero, because zero is a physical limit.
     """
-    here = problem.evaluate(values)
+    optimum = problem.evaluate(values)
     scales = problem.scales
     try:
-        inverse = np.linalg.inv(here.hessian * np.outer(scales, scales))
+        inverse = np.linalg.inv(optimum.hessian * np.outer(scales, scales))
     except np.linalg.LinAlgError:
-        inverse = np.full_like(here.hessian, np.nan)
+        inverse = np.full_like(optimum.hessian, np.nan)
     of_white_noise = np.diag(inverse) * np.square(scales)
     rises = QUANTILE * np.diag(covariance) / of_white_noise
     intervals = np.empty((values.size, 2))
     for i, rise in enumerate(rises.tolist()):
         for side, sign in enumerate((-1, 1)):
-            known = math.isfinite(rise) and rise > 0.0
-            end = profile_end(problem, here, i, sign, rise) if known else None
+            has_rise = math.isfinite(rise) and rise > 0.0
+            end = profile_end(problem, optimum, i, sign, rise) if has_rise else None
             if end is not None:
                 intervals[i, side] = end[i]
             else:
@@ -199,13 +199,13 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
         for _ in range(_MAX_CUTS):
             step = model_profile(*box, way, cost)[0]
-            there = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
-            if there.cost <= max(limit + _FAR * rise, cost):
+            trial = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
+            if trial.cost <= max(limit + _FAR * rise, cost):
                 break
             way *= _CUT
         else:
             break
-        point = there
+        point = trial
     return _find_end(problem, inside, i, bound, limit, rise)
 
 
@@ -220,22 +220,22 @@ def _find_end(
     ahead = 1.0
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(near[i]))
     for _ in range(_MAX_REFITS):
-        here = float(near[i])
+        near_value = float(near[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
-            target = here + (far - here) * min(max(below / (below - beyond), 0.1), 0.9)
+            target = near_value + (far - near_value) * min(max(below / (below - beyond), 0.1), 0.9)
         else:
-            target = here + span
+            target = near_value + span
             span = 3.0 * span
-            target = min(target, bound) if bound > here else max(target, bound)
+            target = min(target, bound) if bound > near_value else max(target, bound)
         lower = problem.lower.copy()
         upper = problem.upper.copy()
         start = near.copy()
         lower[i] = upper[i] = start[i] = target
-        found = problem.experiment.descend(start, lower, upper, problem.scales, _MAX_OF_REFIT)
-        excess = found.cost - limit
+        refit = problem.experiment.descend(start, lower, upper, problem.scales, _MAX_OF_REFIT)
+        excess = refit.cost - limit
         if abs(excess) <= _CLOSE * rise:
-            return found.values
+            return refit.values
         if excess > 0.0:
             far = target
             beyond = excess
@@ -243,7 +243,7 @@ def _find_end(
         else:
             if target == bound:
                 return None
-            near = found.values
+            near = refit.values
             below = excess
             beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
     return near

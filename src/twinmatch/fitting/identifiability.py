@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,29 +59,43 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     The next window would hold this one's last regime and the one after the step. For each step it is
     simulated with the fitted twin, and its information JᵀJ is compared with that of this window.
     """
-    now = _scaled_inverse(problem, fisher)
-    if now is None or problem.law is None or len(problem.base.model.plant.outputs) > 1:
+    plant = problem.base.model.plant
+    before = _scaled_inverse(problem, fisher)
+    if before is None or problem.law is None or len(plant.outputs) > 1:
         return ""
-    scaling = np.outer(problem.scales, problem.scales)
-    direction = np.linalg.eigh(fisher * scaling)[1][:, 0]
-    here = float(problem.window.reference[-1])
+    least_known = np.linalg.eigh(fisher * np.outer(problem.scales, problem.scales))[1][:, 0]
     place = problem.names.index(name)
-    output = problem.base.model.plant.output
-    levels = np.linspace(*(output.set_points or output.span), _LEVELS)
-    least = _MIN_STEP * (levels[1] - levels[0])
-    gains: list[tuple[float, float, float]] = []
-    for level in sorted(levels.tolist(), key=lambda level: abs(level - here)):
-        after = _after_step(problem, values, level) if abs(level - here) >= least else None
-        if after is not None:
-            better = float(np.sqrt(direction @ now @ direction / (direction @ after @ direction)))
-            gains.append((level, better, float(np.sqrt(now[place, place] / after[place, place]))))
-    best = max((better for _, better, _ in gains), default=0.0)
-    for level, better, of_name in gains:
-        if better >= _NEARLY * best and of_name >= _WORTH:
-            times = f"{of_name:.0f}" if of_name >= 2.5 else f"{of_name:.1f}"
-            way = f"{here:g} to {level:.4g} {output.unit}"
+    present = float(problem.window.reference[-1])
+    levels = np.linspace(*(plant.output.set_points or plant.output.span), _LEVELS)
+    least_step = _MIN_STEP * (levels[1] - levels[0])
+    steps: list[_StepGain] = []
+    for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
+        if abs(level - present) >= least_step:
+            after = _after_step(problem, values, level)
+            if after is not None:
+                variance_before = least_known @ before @ least_known
+                variance_after = least_known @ after @ least_known
+                of_direction = float(np.sqrt(variance_before / variance_after))
+                of_name = float(np.sqrt(before[place, place] / after[place, place]))
+                steps.append(_StepGain(level, of_direction, of_name))
+    best = max((step.of_direction for step in steps), default=0.0)
+    for step in steps:
+        if step.of_direction >= _NEARLY * best and step.of_name >= _WORTH:
+            times = f"{step.of_name:.0f}" if step.of_name >= 2.5 else f"{step.of_name:.1f}"
+            way = f"{present:g} to {step.level:.4g} {plant.output.unit}"
             return f"a step from {way} would determine {name} about {times} times better"
     return ""
+
+
+class _StepGain(NamedTuple):
+    """How many times better a step would determine something."""
+
+    level: float
+    """The set-point after it."""
+    of_direction: float
+    """The combination that is known least."""
+    of_name: float
+    """The parameter in question."""
 
 
 def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArray | None:
@@ -89,16 +104,16 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     noise = problem.base.model.plant.output.noise
     steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _MOVED * noise)
     first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
-    kept = window.part(window.first + first, window.last)
+    last_part = window.part(window.first + first, window.last)
     ahead = Window(
         np.full(_AFTER, level),
-        np.full(_AFTER, kept.output[-1]),
+        np.full(_AFTER, last_part.output[-1]),
         np.zeros(_AFTER),
-        first=kept.last + 1,
-        period=kept.period,
-        disturbances=np.repeat(kept.disturbances[-1:], _AFTER, axis=0),
+        first=last_part.last + 1,
+        period=last_part.period,
+        disturbances=np.repeat(last_part.disturbances[-1:], _AFTER, axis=0),
     )
-    next_one = replace(problem, window=kept.joined(ahead))
+    next_one = replace(problem, window=last_part.joined(ahead))
     response = next_one.experiment.simulate(values)
     if not abs(response.output[-1] - level) <= _REACHED * noise:
         return None
@@ -133,8 +148,8 @@ class Identified:
 
 def unidentified(problem: Problem, found: Estimate) -> Identified:
     """The result for an estimate that does not explain the window: its parameters mean nothing."""
-    known = uncertainty(problem, found)
-    return Identified(found, known, known, intervals=np.full((len(problem.names), 2), np.nan))
+    of_all = uncertainty(problem, found)
+    return Identified(found, of_all, of_all, intervals=np.full((len(problem.names), 2), np.nan))
 
 
 def identify(
@@ -146,54 +161,59 @@ def identify(
     determined parameter is kept at its previous value, unless a parameter ended on a bound other than zero:
     such a fit is refused anyway.
     """
-    known = uncertainty(problem, found)
-    intervals = profile_intervals(problem, found.values, known.covariance)
+    of_all = uncertainty(problem, found)
+    intervals = profile_intervals(problem, found.values, of_all.covariance)
     widths = _widths(problem, intervals)
     believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
     final = found
-    kept = ""
-    if not stands(known, found.values):
-        kept = _to_keep(problem, found.values, widths)
-    if kept:
-        interval = intervals[problem.names.index(kept)]
-        before = standing.get(kept, problem.base[kept])
-        final = _keep(problem, found, kept, interval, before)
-        known = uncertainty(problem, final)
-    places = [i for i, name in enumerate(problem.names) if name != kept]
+    fixed = ""
+    if not stands(of_all, found.values):
+        fixed = _to_keep(problem, found.values, widths)
+    if fixed:
+        interval = intervals[problem.names.index(fixed)]
+        before = standing.get(fixed, problem.base[fixed])
+        final = _keep(problem, found, fixed, interval, before)
+        of_all = uncertainty(problem, final)
+    places = [i for i, name in enumerate(problem.names) if name != fixed]
     suggestion = ""
     if len(believed) < len(problem.names):
         least = problem.names[int(np.argmax(widths))]
-        suggestion = suggest_step(problem, final.values, known.fisher, least)
+        suggestion = suggest_step(problem, final.values, of_all.fisher, least)
     return Identified(
         estimate=final,
-        known=known,
-        others=known.given(places),
-        kept=kept,
+        known=of_all,
+        others=of_all.given(places),
+        kept=fixed,
         intervals=intervals,
         believed=believed,
-        determined=_sentence_on(problem, final.values, known.covariance, intervals, believed),
+        determined=_sentence_on(problem, final.values, of_all.covariance, intervals, believed),
         suggestion=suggestion,
     )
 
 
 def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
     """Name of the parameter with the widest interval, of equals the first; empty if one ended on a bound."""
-    stopped = [n for n in on_bounds(problem, values) if values[problem.names.index(n)] != 0.0]
+    for name in on_bounds(problem, values):
+        if values[problem.names.index(name)] != 0.0:
+            return ""
     of_parameters = widths[: len(problem.free)]
     place = int(np.argmax(of_parameters))
-    return "" if stopped or of_parameters[place] <= 1.0 or len(widths) == 1 else problem.free[place]
+    if of_parameters[place] <= 1.0 or len(widths) == 1:
+        return ""
+    return problem.free[place]
 
 
 def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
     """Width of each interval relative to the limit of belief, infinite if the data leave a side open."""
     widths = []
     for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
-        closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
-        if not unknown.relative:
-            width = (high - low) / unknown.scale
+        is_closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        if not is_closed:
+            widths.append(math.inf)
+        elif unknown.relative:
+            widths.append(math.log(high / low) / math.log(_WIDEST))
         else:
-            width = math.log(high / low) / math.log(_WIDEST) if closed else math.inf
-        widths.append(width if closed else math.inf)
+            widths.append((high - low) / unknown.scale)
     return widths
 
 
@@ -202,13 +222,13 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
     place = problem.names.index(name)
     low, high = np.clip(interval, *problem.unknowns[place].bounds)
     value = float(np.clip(standing, low, high))
-    others = replace(
+    reduced = replace(
         problem,
         free=tuple(n for n in problem.free if n != name),
         base=problem.experiment.parameters_at(found.values).replace(**{name: value}),
     )
-    rest = solve(others, [np.delete(found.values, place), *starts_for(others, others.base)])
-    return Estimate(problem, np.insert(rest.values, place, value), rest.converged)
+    refit = solve(reduced, [np.delete(found.values, place), *starts_for(reduced, reduced.base)])
+    return Estimate(problem, np.insert(refit.values, place, value), refit.converged)
 
 
 def _sentence_on(
@@ -221,15 +241,21 @@ def _sentence_on(
     """A sentence on the parameters or combination that the window determines, and those left open (95 %)."""
     if not np.isfinite(covariance).all():
         return "some combination of the free parameters does not show in this window at all"
-    known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
-    left = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed]
-    text = (
-        f"the window determines {_word_list(known)}" if known else "the window determines no parameter alone"
-    )
+    determined = []
+    undetermined = []
+    for name, interval in zip(problem.names, intervals, strict=True):
+        words = f"{name} ({_range(interval)})"
+        if name in believed:
+            determined.append(words)
+        else:
+            undetermined.append(words)
+    text = "the window determines no parameter alone"
+    if determined:
+        text = f"the window determines {_word_list(determined)}"
     ratio = _best_ratio(problem, values, covariance)
     if ratio:
         text += f"; best known is the ratio {ratio}"
-    return f"{text}; left open: {_word_list(left)}" if left else text
+    return f"{text}; left open: {_word_list(undetermined)}" if undetermined else text
 
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
@@ -240,8 +266,10 @@ def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) ->
     for i, j in combinations(places, 2):
         pair = [i, j]
         relative = covariance[np.ix_(pair, pair)] / np.outer(values[pair], values[pair])
-        error = math.sqrt(max(relative[0, 0] + relative[1, 1] - 2.0 * relative[0, 1], 0.0))
-        if error < best and _TIGHTER * error < math.sqrt(min(relative[0, 0], relative[1, 1])):
+        first = relative[0, 0]
+        second = relative[1, 1]
+        error = math.sqrt(max(first + second - 2.0 * relative[0, 1], 0.0))
+        if error < best and _TIGHTER * error < math.sqrt(min(first, second)):
             best = error
             text = f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
     return text

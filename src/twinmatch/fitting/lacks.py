@@ -162,20 +162,26 @@ def lack_of(
         independent: number of independent residuals.
         fit: fits a plant from a start; the parameters and what is left; None if it does not converge.
     """
+    if base.model.is_external:
+        return None
     best = None
-    each = math.log(max(independent, 2.0))
+    structure = base.model.structure
+    price = math.log(max(independent, 2.0))
     least = independent * math.log(max(left, 1.0)) / 2 - _SURE
-    for grown in () if base.model.is_external else _plants_with_effects(base.model, period):
-        found = fit(grown.model.parameters(**base))
-        if found is None or found[1] > (1.0 - _EXPLAINED) * left:
+    for grown in _plants_with_effects(base.model, period):
+        fitted = fit(grown.model.parameters(**base))
+        if fitted is None:
             continue
-        added = grown.model.structure.n_parameters() - base.model.structure.n_parameters()
-        charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
+        parameters, left_by_effect = fitted
+        if left_by_effect > (1.0 - _EXPLAINED) * left:
+            continue
+        added = grown.model.structure.n_parameters() - structure.n_parameters()
+        charge = (independent * math.log(max(left_by_effect, 1.0)) + added * price) / 2
         if charge < least:
-            said = _said(found[0], grown.model.structure.free[len(base.model.structure.free)])
             least = charge
-            what = f"{grown.effect.title} of about {said}"
-            best = Lack(what, 1.0 - found[1] / left, _lines(base.model, grown))
+            first_added = grown.model.structure.free[len(structure.free)]
+            title = f"{grown.effect.title} of about {_size_in_words(parameters, first_added)}"
+            best = Lack(title, 1.0 - left_by_effect / left, _lines(base.model, grown))
     return best
 
 
@@ -195,38 +201,62 @@ def _plants_with_effects(model: Model, period: float) -> tuple[_Grown, ...]:
 def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, Any]]]:
     """Every effect at every place, with what its lines need."""
     plant = model.plant
-    slow = time_constant(model.plant) or _UNKNOWN * period
+    slow = time_constant(plant) or _UNKNOWN * period
     written = written_equations(plant(), model.structure.parts)
-    shown = outputs_of(plant(), written).values()
-    times = {"usual": slow / 3, "few": 3 * period, "short": period, "slow": slow, "long": 100 * slow}
-    times |= {"rate": 1 / slow, "fast": 100 / slow}
-
-    def at(declared: State | Drive | Output, **more: Any) -> dict[str, Any]:
-        low, high = declared.limits if isinstance(declared, Drive) else declared.span
-        numbers = times | {"steep": 10 * (high - low) / slow, "soft": 1e-3 * (high - low)}
-        own = {"at": declared.name, "unit": declared.unit, "span": (low, high)}
-        rounded = {name: float(f"{value:.3g}") for name, value in numbers.items()}
-        return {**rounded, **own, "rate_unit": f"{declared.unit or 1}/s", **more}
-
-    late = any(isinstance(part, DeadTime) for part in vars(plant).values())
+    shown = list(outputs_of(plant(), written).values())
+    has_dead_time = any(isinstance(part, DeadTime) for part in vars(plant).values())
     for drive in plant.drives.values():
-        yield from ((effect, at(drive)) for effect in _OF_A_DRIVE[late:])
+        for effect in _OF_A_DRIVE[has_dead_time:]:  # the first is a dead time
+            yield effect, _words_at(drive, slow, period)
     if len(shown) == 1:
-        yield _OF_AN_OUTPUT, at(plant.output)
-    rates = {str(state): _symbols([rate]) for state, rate in written.rates.items()}
+        yield _OF_AN_OUTPUT, _words_at(plant.output, slow, period)
+    moved_by = {str(state): _symbols([rate]) for state, rate in written.rates.items()}
     idle = plant.disturbances.keys() - _symbols([*written.rates.values(), *shown])
-    for name in (n for n in model.states if n in _symbols(shown) or rates[n] & {*plant.drives}):
-        state = plant.states[name]
-        yield from ((effect, at(state)) for effect in (_BESIDE, _LOAD))
-        for drive in (plant.drives[n] for n in plant.drives if n in rates[name]):
-            words = at(state, drive=drive.name, rest=drive.rest)
-            yield from ((effect, words) for effect in (_FED, _BOTH))
-            if state.span[0] < 0.0 < state.span[1]:
-                yield _FRICTION, words
-        for column in sorted(idle):
-            middle = plant.disturbances[column].default
-            per = (state.span[1] - state.span[0]) / slow / max(abs(middle), 1.0)
-            yield _COLUMN, at(state, column=column, middle=middle, per=per, wide=1e3 * per)
+    for name in model.states:
+        drives = [drive for drive in plant.drives.values() if drive.name in moved_by[name]]
+        if drives or name in _symbols(shown):
+            state = plant.states[name]
+            yield from _effects_on_state(state, drives, slow, period)
+            for column in sorted(idle):
+                middle = plant.disturbances[column].default
+                per = (state.span[1] - state.span[0]) / slow / max(abs(middle), 1.0)
+                words = {"column": column, "middle": middle, "per": per, "wide": 1e3 * per}
+                yield _COLUMN, _words_at(state, slow, period) | words
+
+
+def _effects_on_state(
+    state: State, drives: Iterable[Drive], slow: float, period: float
+) -> Iterator[tuple[_Effect, dict[str, Any]]]:
+    """The effects on a state, and those that need a drive which moves it."""
+    for effect in (_BESIDE, _LOAD):
+        yield effect, _words_at(state, slow, period)
+    low, high = state.span
+    for drive in drives:
+        words = _words_at(state, slow, period) | {"drive": drive.name, "rest": drive.rest}
+        for effect in (_FED, _BOTH):
+            yield effect, words
+        if low < 0.0 < high:
+            yield _FRICTION, words
+
+
+def _words_at(declared: State | Drive | Output, slow: float, period: float) -> dict[str, Any]:
+    """What the lines of an effect need at its place, for a plant with a time constant, s."""
+    low, high = declared.limits if isinstance(declared, Drive) else declared.span
+    numbers = {
+        "usual": slow / 3,
+        "few": 3 * period,
+        "short": period,
+        "slow": slow,
+        "long": 100 * slow,
+        "rate": 1 / slow,
+        "fast": 100 / slow,
+        "steep": 10 * (high - low) / slow,
+        "soft": 1e-3 * (high - low),
+    }
+    words: dict[str, Any] = {name: float(f"{value:.3g}") for name, value in numbers.items()}
+    words |= {"at": declared.name, "unit": declared.unit, "span": (low, high)}
+    words["rate_unit"] = f"{declared.unit or 1}/s"
+    return words
 
 
 def _symbols(expressions: Iterable[Any]) -> set[str]:
@@ -244,38 +274,49 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     structure = model.structure
     declared: dict[str, Any] = {}
     exec(effect.declared, dict(_NAMES), declared)  # noqa: S102 — lines of this module
-    if taken := declared.keys() & vars(plant).keys():
-        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken)} already")
+    taken_names = declared.keys() & vars(plant).keys()
+    if taken_names:
+        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken_names)} already")
 
     def equations(self: Any, parts: frozenset[str]) -> Any:
-        held = plant.equations(self, parts)
-        held = replace(held, rates=dict(held.rates), start=dict(held.start))
-        local = {**_NAMES, "self": self, "held": held}
+        plain = plant.equations(self, parts)
+        extended = replace(plain, rates=dict(plain.rates), start=dict(plain.start))
+        local = {**_NAMES, "self": self, "held": extended}
         exec(effect.equations, local)  # noqa: S102 — lines of this module
         return local["held"]
 
-    free, hidden = ([n for n, v in declared.items() if isinstance(v, kind)] for kind in (Parameter, State))
+    free = [name for name, value in declared.items() if isinstance(value, Parameter)]
+    hidden = [name for name, value in declared.items() if isinstance(value, State)]
     first = free[0]
-    times = (words["usual"] / 10, 10 * words["usual"])
+    starts = []
+    if declared[first].unit == "s":
+        for time in (words["usual"] / 10, 10 * words["usual"]):
+            if time > words["short"]:
+                starts.append({first: time})
     richer = replace(
         structure,
         free=(*structure.free, *free),
         free_starts=(*structure.free_starts, *hidden),
-        starts=tuple({first: t} for t in times if declared[first].unit == "s" and t > words["short"]),
+        starts=tuple(starts),
     )
     body = declared | {"equations": equations, "structures": {model.structure_name: richer}, "followed": ""}
     body |= {"__module__": __name__, "__qualname__": f"{plant.__qualname__} {effect}"}
-    made: Any = types.new_class(plant.__name__, (plant,), {"name": plant.name}, lambda own: own.update(body))
-    return made.model()  # type: ignore[no-any-return]
+    plant_class: Any = types.new_class(
+        plant.__name__, (plant,), {"name": plant.name}, lambda namespace: namespace.update(body)
+    )
+    return plant_class.model()  # type: ignore[no-any-return]
 
 
-def _said(found: Parameters, name: str) -> str:
+def _size_in_words(found: Parameters, name: str) -> str:
+    """A parameter to two digits, with its unit; times in one in which they are not long numbers."""
     value = found[name]
     unit = found.model.declared[name].unit
     if unit == "s":
-        longer = ((86400, "d"), (3600, "h"), (60, "min"), (0, "s"))
-        size, unit = next(one for one in longer if value >= 2 * one[0])
-        value /= size or 1
+        for seconds, longer_unit in ((86400, "d"), (3600, "h"), (60, "min")):
+            if value >= 2 * seconds:
+                value /= seconds
+                unit = longer_unit
+                break
     return f"{float(f'{value:.2g}'):g} {unit}".rstrip()
 
 

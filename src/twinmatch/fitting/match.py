@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from types import MappingProxyType
@@ -223,24 +223,24 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     """Number of samples for the test fit, or the reason why none can be made."""
     window = problem.window
     plant = problem.base.model.plant
+    signal = "set-point"
     moved = window.references
-    what = "set-point"
     if problem.law is None:
+        signal = "input"
         movement = ExpectedMovement(effect_of(plant, window.period))
-        what = "input"
         moved = np.array([movement.take(row) for row in window.inputs])
     outputs = [*plant.outputs.values()][: moved.shape[1]]
-    least = [_SHOWS * (y.least_step if min_step is None else min_step) for y in outputs]
+    least = [_SHOWS * (output.least_step if min_step is None else min_step) for output in outputs]
     places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
-    excited = min((at for at in places if at is not None), default=None)
+    excited = min((place for place in places if place is not None), default=None)
     if excited is None:
-        steps = " or ".join(f"{step:g} {y.unit}" for step, y in zip(least, outputs, strict=True))
-        means = "" if what == "set-point" else "so far that the output would show it, "
-        return 0, f"the {what} did not move {means}by {steps} within the window's {len(window)} samples"
+        steps = " or ".join(f"{step:g} {output.unit}" for step, output in zip(least, outputs, strict=True))
+        how_far = "so far that the output would show it, " if problem.law is None else ""
+        return 0, f"the {signal} did not move {how_far}by {steps} within the window's {len(window)} samples"
     split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
     if len(window) - split < limits.least_samples:
         return 0, (
-            f"the {what} moved at sample {window.first + excited}, too near to the window's end at "
+            f"the {signal} moved at sample {window.first + excited}, too near to the window's end at "
             f"{window.last} for a fit and its test"
         )
     return split, ""
@@ -257,49 +257,58 @@ def not_determined(
         variances = LASTING * np.diag(np.linalg.inv(fisher))
     except (TwinmatchError, np.linalg.LinAlgError):
         return "it determines nothing yet"
-    errors = [math.sqrt(v) if v > 0 else math.inf for v in variances.tolist()]  # rounding of a singular one
-    each = zip(problem.unknowns, errors, strict=True)
-    wanted = [(unknown.name, error) for unknown, error in each if not unknown.initial]
-    known = ", ".join(f"{name} to {error:.1%}" for name, error in wanted if error <= _KNOWN)
-    still = ", ".join(name for name, error in wanted if not error <= _KNOWN)
-    so_far = f"it determines {known}, not yet {still}" if known else f"it does not determine {still} yet"
-    return so_far if still else ""
+    determined = []
+    undetermined = []
+    for unknown, variance in zip(problem.unknowns, variances.tolist(), strict=True):
+        if unknown.initial:
+            continue
+        error = math.sqrt(variance) if variance > 0 else math.inf  # rounding of a singular one
+        if error <= _KNOWN:
+            determined.append(f"{unknown.name} to {error:.1%}")
+        else:
+            undetermined.append(unknown.name)
+    if not undetermined:
+        return ""
+    still = ", ".join(undetermined)
+    if determined:
+        return f"it determines {', '.join(determined)}, not yet {still}"
+    return f"it does not determine {still} yet"
 
 
 def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimits) -> Match:
     window = problem.window
-    seen = replace(problem, window=window.part(window.first, window.first + split - 1))
+    fitted_part = replace(problem, window=window.part(window.first, window.first + split - 1))
     starts = starts_for(problem, problem.base)
-    test = solve(seen, starts)
+    test = solve(fitted_part, starts)
     best = solve(problem, [test.values, *starts])
     most = limits.most(problem.law)
     explained = best.converged and best.chi2 <= most
 
-    def stands(known: Uncertainty, values: FloatArray) -> bool:
-        errors = np.sqrt(np.diag(known.covariance))
-        loose = undetermined(problem.unknowns, values, errors, known.condition, limits)
+    def stands(of_all: Uncertainty, values: FloatArray) -> bool:
+        errors = np.sqrt(np.diag(of_all.covariance))
+        loose = undetermined(problem.unknowns, values, errors, of_all.condition, limits)
         return not loose and not on_bounds(problem, values)
 
-    found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
-    held = split - (len(window) - problem.measured.shape[1])
-    tested = problem.residuals(test.values)[:, held:]
-    standing = _residuals_of(problem, seen, rival)[:, held:]
-    final = found.estimate
-    known = found.known
-    fit = _fit(problem, found.estimate.residuals)
-    free = [i for i, name in enumerate(problem.names) if name != found.kept]
-    bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != found.kept)
+    identified = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
+    first_tested = split - (len(window) - problem.measured.shape[1])
+    tested = problem.residuals(test.values)[:, first_tested:]
+    standing = _residuals_of(problem, fitted_part, rival)[:, first_tested:]
+    final = identified.estimate
+    of_all = identified.known
+    fit = _fit(problem, identified.estimate.residuals)
+    free = [i for i, name in enumerate(problem.names) if name != identified.kept]
+    bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != identified.kept)
     evidence = FitEvidence(
         free=tuple(problem.unknowns[i] for i in free),
         values=final.values[free],
-        standard_errors=np.sqrt(np.diag(found.others.covariance)),
-        condition=found.others.condition,
+        standard_errors=np.sqrt(np.diag(identified.others.covariance)),
+        condition=identified.others.condition,
         bounds_hit=bounds_hit,
         converged=final.converged,
         chi2=final.chi2,
         held_back_chi2=problem.mean_square(tested),
         incumbent_chi2=problem.mean_square(standing),
-        kept=_kept_sentence(problem, found),
+        kept=_kept_sentence(problem, identified),
         most=most,
     )
     status, reason = judge(evidence, limits)
@@ -307,10 +316,10 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         parameters=problem.experiment.parameters_at(final.values),
         free=problem.names,
         starts=problem.experiment.starts_at(final.values),
-        covariance=known.covariance,
-        fisher=known.fisher,
-        eigenvalues=known.eigenvalues,
-        condition=known.condition,
+        covariance=of_all.covariance,
+        fisher=of_all.fisher,
+        eigenvalues=of_all.eigenvalues,
+        condition=of_all.condition,
         bounds_hit=bounds_hit,
         fit=fit,
         held_back=_fit(problem, tested),
@@ -318,11 +327,11 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         samples=(window.first, window.last),
         status=status,
         reason=reason,
-        directions=known.directions,
-        intervals=found.intervals,
-        believed=found.believed,
-        determined=found.determined,
-        suggestion=found.suggestion,
+        directions=of_all.directions,
+        intervals=identified.intervals,
+        believed=identified.believed,
+        determined=identified.determined,
+        suggestion=identified.suggestion,
     )
 
 
@@ -347,12 +356,14 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
     """NRMSE over the last samples of the window, as many as there are residuals."""
     count = residuals.shape[1]
     figures = []
-    for measured, left, weight in zip(problem.measured, residuals, problem.weights[:, 0], strict=True):
+    for measured, residual, weight in zip(problem.measured, residuals, problem.weights[:, 0], strict=True):
         values = measured[-count:]
         spread = float(np.linalg.norm(values - np.mean(values)))
-        found = 1.0 - np.linalg.norm(left) / weight / spread if spread > 0 else math.nan
-        figures.append(float(found))
-    outputs = len(problem.base.model.plant.outputs)
-    return Fit(
-        *(float(np.mean(part)) if part else math.nan for part in (figures[:outputs], figures[outputs:]))
-    )
+        fit = 1.0 - np.linalg.norm(residual) / weight / spread if spread > 0 else math.nan
+        figures.append(float(fit))
+    n_outputs = len(problem.base.model.plant.outputs)
+    return Fit(_mean_or_nan(figures[:n_outputs]), _mean_or_nan(figures[n_outputs:]))
+
+
+def _mean_or_nan(figures: Sequence[float]) -> float:
+    return float(np.mean(figures)) if figures else math.nan

@@ -59,9 +59,9 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
     x3 = x[2:]
     x4 = x[1:]
     x5 = x
-    rest = out[5:]
-    for t in range(rest.size):
-        rest[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
+    later = out[5:]
+    for t in range(later.size):
+        later[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
 
 
 @compiled(inside=True)

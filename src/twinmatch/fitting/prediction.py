@@ -67,14 +67,14 @@ class Polynomials(NamedTuple):
 @compiled
 def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
     """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
-    rest = np.empty(y.size)
+    filtered = np.empty(y.size)
     driven = np.empty(y.size)
     e = np.empty(y.size)
-    fir_into(model.F, y, rest)
+    fir_into(model.F, y, filtered)
     fir_into(model.B, u, driven)
     for t in range(y.size):
-        rest[t] -= driven[t]
-    fir_into(model.D, rest, e)
+        filtered[t] -= driven[t]
+    fir_into(model.D, filtered, e)
     for t in range(min(m.size, e.size)):
         e[t] += m[t]
     all_pole_into(model.C, e, e)
@@ -214,7 +214,9 @@ def project(
     fir_into(model.D, task.y, at_zero)
     all_pole_into(model.C, at_zero, at_zero)
     spans = task.spans[: BY_M + 2].copy()
-    spans[BY_M + 1, SIGNAL], spans[BY_M + 1, DELAY], spans[BY_M + 1, COUNT] = AT_ZERO, 0, 1
+    spans[BY_M + 1, SIGNAL] = AT_ZERO
+    spans[BY_M + 1, DELAY] = 0
+    spans[BY_M + 1, COUNT] = 1
     if exact:
         x = solve_triangle(triangularise(signals, pad, spans))
     else:
@@ -223,9 +225,9 @@ def project(
     column = 0
     for group in (BY_B, BY_M):
         for i in range(spans[group, COUNT]):
-            at = pad - spans[group, DELAY] - i
+            first = pad - spans[group, DELAY] - i
             factor = x[column]
-            delayed = signals[group, at : at + e.size]
+            delayed = signals[group, first : first + e.size]
             for t in range(e.size):
                 e[t] += factor * delayed[t]
             column += 1
@@ -311,15 +313,15 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     corners = corners_of(spans)
     S = np.zeros((corners[ERROR], corners[ERROR]))
     for second in SECOND_DERIVATIVES:
-        one = second.one
-        other = second.other
+        first_group = second.one
+        second_group = second.other
         filtered = errors[second.error]
-        for i in range(spans[one, COUNT]):
-            for j in range(spans[other, COUNT]):
-                row = corners[one] + i
-                column = corners[other] + j
-                if i == 0 or j == spans[other, COUNT] - 1:
-                    delayed = pad - spans[one, DELAY] - spans[other, DELAY] - i - j
+        for i in range(spans[first_group, COUNT]):
+            for j in range(spans[second_group, COUNT]):
+                row = corners[first_group] + i
+                column = corners[second_group] + j
+                if i == 0 or j == spans[second_group, COUNT] - 1:
+                    delayed = pad - spans[first_group, DELAY] - spans[second_group, DELAY] - i - j
                     S[row, column] = second.factor * dot(filtered, signals[second.signal, delayed:])
                 else:
                     S[row, column] = S[row - 1, column + 1]

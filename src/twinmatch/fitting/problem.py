@@ -51,7 +51,10 @@ Prior = Mapping[str, Expectation]
 
 def known_of(prior: Prior, windows: int = 1) -> dict[str, Known]:
     """The prior of a search, with its weight divided among the windows."""
-    return {n: Known(each.mean, LASTING / (windows * each.deviation**2)) for n, each in prior.items()}
+    known = {}
+    for name, expectation in prior.items():
+        known[name] = Known(expectation.mean, LASTING / (windows * expectation.deviation**2))
+    return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +98,11 @@ def unknown_parameters(
         FittingError: bounds of an unknown name, or a pair that is not finite and in order.
         PlantError: a bound is not a possible value of the parameter.
     """
-    given = dict(bounds or {})
-    known = (*model.names, *model.states)
-    for name, (low, high) in given.items():
-        if name not in known:
-            msg = f"matching: bounds for {name!r}, which is unknown; choose from {', '.join(known)}"
+    given_bounds = dict(bounds or {})
+    bounded = (*model.names, *model.states)
+    for name, (low, high) in given_bounds.items():
+        if name not in bounded:
+            msg = f"matching: bounds for {name!r}, which is unknown; choose from {', '.join(bounded)}"
             raise FittingError(msg)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             msg = f"matching: the bounds of {name} are {low} and {high}; give two finite numbers, lower first"
@@ -112,7 +115,7 @@ def unknown_parameters(
     unknowns = []
     for name in names:
         parameter = model.declared[name]
-        limits = given.get(name, parameter.bounds)
+        limits = given_bounds.get(name, parameter.bounds)
         unknowns.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
     return tuple(unknowns)
 
@@ -159,8 +162,10 @@ class Noise:
     @classmethod
     def of(cls, plant: type[Plant]) -> Noise:
         """The noise that the plant file declares."""
-        signals = (plant.outputs, plant.drives)
-        return cls(*(tuple(signal.noise for signal in each.values()) for each in signals))
+        return cls(
+            tuple(output.noise for output in plant.outputs.values()),
+            tuple(drive.noise for drive in plant.drives.values()),
+        )
 
     @property
     def all(self) -> FloatArray:
@@ -184,13 +189,13 @@ def checked_law(model: Model, window: Window, law: LoopLaw = FROM_PLANT_FILE) ->
     Raises:
         FittingError: the controller has another period than the window.
     """
-    held = law_for(model.plant, window.period, law)
-    if held is not None and held.period != window.period:
+    checked = law_for(model.plant, window.period, law)
+    if checked is not None and checked.period != window.period:
         raise FittingError(
-            f"matching: the controller runs every {held.period} s but the window's samples come every "
+            f"matching: the controller runs every {checked.period} s but the window's samples come every "
             f"{window.period} s; give both the same period"
         )
-    return held
+    return checked
 
 
 class Evaluation(NamedTuple):
@@ -279,8 +284,8 @@ class Problem:
     @property
     def seen(self) -> FloatArray:
         """1 for samples that were received, 0 for stand-ins, shape (N − 2,)."""
-        seen = self.window.seen
-        return np.ones(len(self.window) - SKIPPED) if seen is None else seen[SKIPPED:].astype(np.float64)
+        marks = self.window.seen
+        return np.ones(len(self.window) - SKIPPED) if marks is None else marks[SKIPPED:].astype(np.float64)
 
     @property
     def measured(self) -> FloatArray:
@@ -306,8 +311,10 @@ class Problem:
         the mean squared residual caused by all of it."""
         tangents = self.experiment.tangents(values)
         noise = self.noise.all
-        by = tangents.by * self.seen[:, None] * -(1.0 / noise)[:, None, None]
-        return noise_scores(self.experiment, tangents, by, noise[: tangents.outputs.shape[1], None] / noise)
+        derivatives = tangents.by * self.seen[:, None] * -(1.0 / noise)[:, None, None]
+        return noise_scores(
+            self.experiment, tangents, derivatives, noise[: tangents.outputs.shape[1], None] / noise
+        )
 
     def mean_square(self, residuals: FloatArray) -> float:
         """Mean square of the weighted residuals of the window's last samples, stand-ins left out."""

@@ -165,10 +165,10 @@ def noise_model(
     spans = np.array(((1, nk, nb), (2, 0, states), (0, 0, 1)))
     coefficients = regression(signals, pad, spans)
     B = np.zeros(nk + nb)
-    one = np.ones(1)
+    unity = np.ones(1)
     copy_into(coefficients[:nb], B[nk:])
-    rest = errors_of(u, y, Polynomials(B, one, one, F), -coefficients[nb:])
-    return hannan_rissanen(rest, nc, nd)
+    errors = errors_of(u, y, Polynomials(B, unity, unity, F), -coefficients[nb:])
+    return hannan_rissanen(errors, nc, nd)
 
 
 @compiled(inside=True)
@@ -208,7 +208,7 @@ class Hops:
         """θ = (c, d, f) with some of its roots moved at random, all inside the unit circle."""
         corners = np.concatenate(([0], np.cumsum(self._degrees)))
         moved = theta.copy()
-        which = self._movable[self._pick(len(self._movable))]
+        group = self._movable[self._pick(len(self._movable))]
         kind = self._pick(4)
         if kind == 3 and min(self._degrees[:2]) > 1:
             # A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured.
@@ -220,7 +220,7 @@ class Hops:
                 moved[part] = _coefficients(self._with_pair(_all_roots(theta[part]), size, angle))
         else:
             move = (self._move_one, self._move_two, self._move_all)[kind % 3]
-            part = slice(corners[which], corners[which + 1])
+            part = slice(corners[group], corners[group + 1])
             moved[part] = _coefficients(move(_all_roots(theta[part])))
         return moved
 

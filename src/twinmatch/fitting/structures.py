@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -111,12 +112,14 @@ class StructureFit:
 
         NaN for the inputs of a driven twin.
         """
-        seen = np.concatenate(self.seen)
-        measured = np.hstack(self.measured)[:, seen]
-        simulated = np.hstack(self.simulated)[:, seen]
-        spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
-        left = np.linalg.norm(measured - simulated, axis=1)
-        figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
+        is_received = np.concatenate(self.seen)
+        measured = np.hstack(self.measured)[:, is_received]
+        simulated = np.hstack(self.simulated)[:, is_received]
+        spreads = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+        residual_norms = np.linalg.norm(measured - simulated, axis=1)
+        figures = []
+        for norm, spread in zip(residual_norms, spreads, strict=True):
+            figures.append(1.0 - norm / spread if spread > 0 else float("nan"))
         outputs = len(self.model.plant.outputs)
         return float(np.min(figures[:outputs])), float(np.min(figures[outputs:] or [np.nan]))
 
@@ -152,16 +155,16 @@ def fit_structure(
         FittingError: no window, one that is too short, or windows of different periods.
     """
     informed = informed or bool(prior)
-    given = {**_typical(model), **(prior or {})} if informed else {}
-    known = known_of(given, max(len(windows), 1))
-    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, known))
+    expectations = {**_typical(model), **(prior or {})} if informed else {}
+    knowledge = known_of(expectations, max(len(windows), 1))
+    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, knowledge))
     plant = model.typical() if informed else model.parameters()
-    plant = plant.replace(**{name: each.mean for name, each in given.items()})
+    plant = plant.replace(**{name: expectation.mean for name, expectation in expectations.items()})
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
-        others = () if informed else model.structure.starts  # with the prior there is no second valley
-        firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
+        other_starts = () if informed else model.structure.starts  # with the prior there is no second valley
+        firsts = [problem.values_of(plant.replace(**changes)) for changes in ({}, *other_starts)]
         looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
         values = min(looks, key=lambda look: look.cost).values
     best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
@@ -204,7 +207,7 @@ def in_parts(
     samples = stretch * time_constant(plant) / window.period or otherwise
     number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
     ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
-    return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+    return [window.part(first, end - 1) for first, end in pairwise(ends.tolist())]
 
 
 def held_back_costs(
@@ -223,22 +226,32 @@ def held_back_costs(
         windows, noise, law: as in `fit_structure`.
     """
     noise = noise or Noise.of(fitted.model.plant)
-    ends = [math.ceil(_SEEN * len(w)) for w in windows]
-    least = SETTLE + SKIPPED + 1
-    parts = [w.part(w.first, w.first + max(e, least) - 1) for w, e in zip(windows, ends, strict=True)]
+    ends = [math.ceil(_SEEN * len(window)) for window in windows]
+    parts = []
+    for window, end in zip(windows, ends, strict=True):
+        size = max(end, SETTLE + SKIPPED + 1)
+        parts.append(window.part(window.first, window.first + size - 1))
     before = fit_structure(parts, fitted.model, start=fitted, noise=noise, law=law)
     problem = _Problem(_runs(windows, fitted.model, noise, law, {}))
     blocks = []
     for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
-        run_values = np.append(run.values_of(before.parameters)[: len(run.free)], [*starts.values()])
-        response = run.simulate(run_values)
-        signals = len(noise.all) if run.closed else len(fitted.model.plant.outputs)
-        both = np.concatenate([response.outputs.T, response.inputs.T])[:signals]
-        off = (run.measured[:signals] - both)[:, end - SKIPPED :] / noise.all[:signals, None]
-        costs = np.sum(2.0 * (np.sqrt(1.0 + off**2) - 1.0), axis=0)[run.window.marks[end:]] / signals
-        each = np.array_split(costs, max(round(costs.size / LASTING), 1))
-        blocks += [part.mean() for part in each if part.size]
+        costs = _free_run_costs(run, before.parameters, starts, noise)
+        held_back = costs[end - SKIPPED :][run.window.marks[end:]]
+        blocks_of_run = np.array_split(held_back, max(round(held_back.size / LASTING), 1))
+        blocks += [block.mean() for block in blocks_of_run if block.size]
     return np.array(blocks or [fitted.cost])
+
+
+def _free_run_costs(
+    run: Experiment, parameters: Parameters, starts: Mapping[str, float], noise: Noise
+) -> FloatArray:
+    """The robust cost of each sample of a free run, in the mean over the signals, shape (N − 2,)."""
+    free_values = run.values_of(parameters)[: len(run.free)]
+    response = run.simulate(np.append(free_values, [*starts.values()]))
+    signals = len(noise.all) if run.closed else len(run.model.plant.outputs)
+    simulated = np.concatenate([response.outputs.T, response.inputs.T])[:signals]
+    errors = (run.measured[:signals] - simulated) / noise.all[:signals, None]
+    return np.asarray(np.sum(2.0 * (np.sqrt(1.0 + errors**2) - 1.0), axis=0) / signals)
 
 
 def observed_covariance(
@@ -266,12 +279,12 @@ def observed_covariance(
 def _typical(model: Model) -> dict[str, Expectation]:
     """The plant file's typical values as prior."""
     typical = model.typical()
-    known = {}
+    expectations = {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
-        known[name] = Expectation(typical[name], spread or declared.scale)
-    return known
+        expectations[name] = Expectation(typical[name], spread or declared.scale)
+    return expectations
 
 
 def _runs(
@@ -286,14 +299,14 @@ def _runs(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
                 f"the first {SETTLE + SKIPPED} are not compared, give more"
             )
-        own = checked_law(model, window, law)
+        checked = checked_law(model, window, law)
         runs.append(
             Experiment(
                 model.parameters(),
                 model.structure.free,
                 window,
                 free_starts=model.structure.free_starts,
-                law=own,
+                law=checked,
                 weights=tuple(1.0 / noise.all),
                 robust=True,
                 settle=SETTLE,
@@ -311,24 +324,25 @@ class _Problem:
         self.runs = runs
         model = runs[0].model
         self._free = len(runs[0].free)
-        self._own = len(runs[0].free_starts)
-        unknown = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
-        self._lower = np.array([u.bounds[0] for u in unknown])
-        self._upper = np.array([u.bounds[1] for u in unknown])
-        self._scales = np.array([u.scale for u in unknown])
+        self._n_starts = len(runs[0].free_starts)
+        unknowns = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
+        self._lower = np.array([unknown.bounds[0] for unknown in unknowns])
+        self._upper = np.array([unknown.bounds[1] for unknown in unknowns])
+        self._scales = np.array([unknown.scale for unknown in unknowns])
         self._pull = runs[0].pull
 
     def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
         """The values for given parameters, with initial states `starts` in each window, or as in the file."""
-        own = [run.values_of(parameters) for run in self.runs]
-        initial = [list(starts.values()) if starts else values[self._free :] for values in own]
-        values = np.clip(np.concatenate([own[0][: self._free], *initial]), self._lower, self._upper)
-        return np.asarray(values, dtype=np.float64)
+        values_of_runs = [run.values_of(parameters) for run in self.runs]
+        values = [values_of_runs[0][: self._free]]
+        for values_of_run in values_of_runs:
+            values.append(np.array(list(starts.values())) if starts else values_of_run[self._free :])
+        return np.asarray(np.clip(np.concatenate(values), self._lower, self._upper), dtype=np.float64)
 
     def _places(self, window: int) -> NDArray[np.int64]:
         """Indices of the values that apply to one window."""
-        first = self._free + window * self._own
-        return np.concatenate([np.arange(self._free), np.arange(first, first + self._own)])
+        first = self._free + window * self._n_starts
+        return np.concatenate([np.arange(self._free), np.arange(first, first + self._n_starts)])
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Sum, gradient and JᵀJ over all windows."""
@@ -354,8 +368,9 @@ class _Problem:
     def fitted(self, best: Descended) -> StructureFit:
         """The fit from the result of a search."""
         parts = [best.values[self._places(window)] for window in range(len(self.runs))]
-        plant = self.runs[0].model.plant
-        signals = len(plant.outputs) + (len(plant.drives) if self.runs[0].closed else 0)
+        first = self.runs[0]
+        plant = first.model.plant
+        signals = len(plant.outputs) + (len(plant.drives) if first.closed else 0)
         simulated = []
         states = []
         for run, part in zip(self.runs, parts, strict=True):
@@ -364,18 +379,18 @@ class _Problem:
             simulated.append(both[:signals, SETTLE:])
             states.append(response.states[SETTLE:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
-            msg = f"structures: {self.runs[0].model.title} has no finite response at the best parameters"
+            msg = f"structures: {first.model.title} has no finite response at the best parameters"
             raise FittingError(msg)
-        measured = tuple(run.measured[:signals, SETTLE:] for run in self.runs)
-        seen = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
+        is_received = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
+        n_received = sum(int(marks.sum()) for marks in is_received)
         return StructureFit(
-            parameters=self.runs[0].parameters_at(parts[0]),
+            parameters=first.parameters_at(parts[0]),
             starts=tuple(run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)),
-            measured=measured,
+            measured=tuple(run.measured[:signals, SETTLE:] for run in self.runs),
             simulated=tuple(simulated),
-            seen=seen,
+            seen=is_received,
             converged=best.converged,
-            cost=best.cost / (signals * sum(int(marks.sum()) for marks in seen)),
+            cost=best.cost / (signals * n_received),
             states=tuple(states),
             covariance=self._covariance(best.hessian)[: self._free, : self._free],
             charge=self._charge(best),
@@ -383,27 +398,34 @@ class _Problem:
 
     def observed_covariance(self, fitted: StructureFit) -> FloatArray:
         """As the function of that name."""
-        own = [list(starts.values()) for starts in fitted.starts]
+        initial = [list(starts.values()) for starts in fitted.starts]
         values = self.values_of(fitted.parameters)
-        values[self._free :] = np.concatenate(own)
+        values[self._free :] = np.concatenate(initial)
+        scores, slope = self._scores_by_block(values)
+        # In units of the scales; without the windows, a value was as uncertain as its scale.
+        units = np.outer(self._scales, self._scales)
+        model = np.linalg.inv(slope * units + np.eye(values.size))
+        pulls = scores * self._scales @ model
+        count = len(scores)
+        observed = pulls.T @ pulls * count / max(count - values.size, 1)
+        size = float(np.trace(np.linalg.solve(model, observed))) / values.size
+        both = 0.5 * (observed + size * model) * units
+        return np.asarray(both[: self._free, : self._free])
+
+    def _scores_by_block(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The gradients of the cost in each block of samples, shape (blocks, n), and their slope, (n, n)."""
         length = sum(run.measured.shape[1] - SETTLE for run in self.runs)
         size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
         scores = []
         slope = np.zeros((values.size, values.size))
         for window, run in enumerate(self.runs):
             places = self._places(window)
-            each, own_slope = run.scores(values[places])
-            slope[np.ix_(places, places)] += own_slope
-            each = each[SETTLE:]
-            parts = np.array_split(each, max(round(len(each) / size), 1))
-            scores += [np.bincount(places, part.sum(axis=0), minlength=values.size) for part in parts]
-        # In units of the scales; without the windows, a value was as uncertain as its scale.
-        model = np.linalg.inv(slope * np.outer(self._scales, self._scales) + np.eye(values.size))
-        pulls = np.array(scores) * self._scales @ model
-        observed = pulls.T @ pulls * len(scores) / max(len(scores) - values.size, 1)
-        size_of = float(np.trace(np.linalg.solve(model, observed))) / values.size
-        both = 0.5 * (observed + size_of * model) * np.outer(self._scales, self._scales)
-        return np.asarray(both[: self._free, : self._free])
+            scores_of_run, slope_of_run = run.scores(values[places])
+            slope[np.ix_(places, places)] += slope_of_run
+            settled = scores_of_run[SETTLE:]
+            for block in np.array_split(settled, max(round(len(settled) / size), 1)):
+                scores.append(np.bincount(places, block.sum(axis=0), minlength=values.size))
+        return np.array(scores), slope
 
     def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Precision of the values, in units of their scales, after and before the windows: (n, n) and (n,).

@@ -44,9 +44,15 @@ _TINY: Final = float(np.finfo(np.float64).tiny)
 
 @compiled
 def _simulate(
-    coefficients: FloatArray, level: FloatArray, past: FloatArray, rows: FloatArray, law: LawCode,
-    memory: FloatArray, ahead: FloatArray, spans: FloatArray,
-) -> FloatArray:  # fmt: skip
+    coefficients: FloatArray,
+    level: FloatArray,
+    past: FloatArray,
+    rows: FloatArray,
+    law: LawCode,
+    memory: FloatArray,
+    ahead: FloatArray,
+    spans: FloatArray,
+) -> FloatArray:
     """Outputs and inputs, shape (o + m, N); `past` holds outputs, inputs and disturbances, newest first."""
     o = len(coefficients)
     p = len(past)
@@ -114,9 +120,14 @@ class ArxForecast(NamedTuple):
             signals = self.past.shape[1] - disturbances.shape[1]
             return np.repeat(self.past[0, :signals, None], len(ahead), axis=1)
         means: FloatArray = _simulate(
-            self.coefficients, self.level, self.past, disturbances, *law_code(self.law, self.controller),
-            np.array(ahead).reshape(len(ahead), -1), self.spans,
-        )  # fmt: skip
+            self.coefficients,
+            self.level,
+            self.past,
+            disturbances,
+            *law_code(self.law, self.controller),
+            np.array(ahead).reshape(len(ahead), -1),
+            self.spans,
+        )
         return means
 
 
@@ -156,14 +167,17 @@ class Arx:
             self._learned = 0
         self._newest.append(sample)
         if sample.seen:
-            seen = self.visited or [(y, y) for y in sample.outputs]
-            self.visited = tuple(
-                (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
-            )
+            self.visited = self._visited_with(sample)
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
             self._newest = self._newest[-MAX_ORDER:]
             self._learned = MAX_ORDER
+
+    def _visited_with(self, sample: Sample) -> Visited:
+        if not self.visited:
+            return tuple((y, y) for y in sample.outputs)
+        spans = zip(self.visited, sample.outputs, strict=True)
+        return tuple((min(low, y), max(high, y)) for (low, high), y in spans)
 
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
@@ -176,8 +190,8 @@ class Arx:
             coefficients = np.zeros((0, 0))
             order = 0
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
-        now = np.ascontiguousarray(past[: max(order, 1)])
-        return ArxForecast(coefficients, fit.level, now, spans, self._law, controller)
+        newest_rows = np.ascontiguousarray(past[: max(order, 1)])
+        return ArxForecast(coefficients, fit.level, newest_rows, spans, self._law, controller)
 
     def _fit_now(self) -> _Fit:
         """The fit with the new samples.
@@ -186,32 +200,29 @@ class Arx:
         factor is updated change its last bits.
         """
         new = _rows_of(self._newest)
-        seen = np.array([sample.seen for sample in self._newest])
+        is_received = np.array([sample.seen for sample in self._newest])
         first = max(self._learned, MAX_ORDER)
         fit = self._fit
         if first >= len(new):
             return fit
-        o = len(self.visited)
-        size = new.shape[1]
-        level = fit.level if fit.level.size else new[int(np.argmax(seen))]
-        # Of sample k all of k − MAX_ORDER … k have to be seen.
-        lost = np.concatenate([[0], np.cumsum(~seen)])
-        kept = np.arange(first, len(new))
-        kept = kept[lost[kept + 1] == lost[kept - MAX_ORDER]]
-        if not kept.size:
+        level = fit.level if fit.level.size else new[int(np.argmax(is_received))]
+        places = _with_whole_past(is_received, first)
+        if not places.size:
             return fit._replace(level=level)
+        o = len(self.visited)
         relative = new - level
-        lags = [relative[kept - lag] for lag in range(1, MAX_ORDER + 1)]
-        rows = np.hstack([np.ones((kept.size, 1)), *lags, new[kept, :o] - new[kept - 1, :o]])
-        forgotten = self._kept ** np.arange(kept.size - 1, -1, -1)
-        factor = fit.factor if fit.rows else np.zeros((1 + MAX_ORDER * size + o,) * 2)
-        held = self._kept ** (kept.size / 2) * factor
-        weighted = np.sqrt(forgotten)[:, None] * rows
+        lags = [relative[places - lag] for lag in range(1, MAX_ORDER + 1)]
+        steps = new[places, :o] - new[places - 1, :o]
+        rows = np.hstack([np.ones((places.size, 1)), *lags, steps])
+        weights = self._kept ** np.arange(places.size - 1, -1, -1)
+        factor = fit.factor if fit.rows else np.zeros((rows.shape[1], rows.shape[1]))
+        earlier = self._kept ** (places.size / 2) * factor
+        weighted = np.sqrt(weights)[:, None] * rows
         return _Fit(
-            np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r")),
-            fit.rows + kept.size,
-            self._kept**kept.size * fit.weight + float(forgotten.sum()),
-            level,
+            factor=np.asarray(np.linalg.qr(np.vstack([earlier, weighted]), mode="r")),
+            rows=fit.rows + places.size,
+            weight=self._kept**places.size * fit.weight + float(weights.sum()),
+            level=level,
         )
 
     def _coefficients(self, fit: _Fit) -> FloatArray:
@@ -221,13 +232,16 @@ class Arx:
         sizes = sizes[sizes * _MIN_ROWS <= fit.weight + 1e-9]
         if not sizes.size:
             return np.zeros((0, 0))
-        left = fit.factor[:, -o:]
-        squares = np.cumsum((left[:, :, None] * left[:, None, :])[::-1], axis=0)[::-1]
-        size = int(sizes[np.argmin(_aicc(squares[sizes] / fit.weight, sizes, fit.weight))])
+        targets = fit.factor[:, -o:]
+        # Below its first n rows, the factor holds what n coefficients leave of the targets.
+        products = targets[:, :, None] * targets[:, None, :]
+        left_open = np.cumsum(products[::-1], axis=0)[::-1]
+        criteria = _aicc(left_open[sizes] / fit.weight, sizes, fit.weight)
+        size = int(sizes[np.argmin(criteria)])
         columns = fit.factor[:size, :size]
         scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-        coefficients = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
-        return np.ascontiguousarray(coefficients.T)
+        scaled = np.linalg.lstsq(columns / scale, targets[:size], rcond=_RANK)[0]
+        return np.ascontiguousarray((scaled / scale[:, None]).T)
 
 
 def _aicc(covariances: FloatArray, sizes: NDArray[np.int64], samples: float) -> FloatArray:
@@ -239,6 +253,13 @@ def _aicc(covariances: FloatArray, sizes: NDArray[np.int64], samples: float) -> 
     return np.asarray(samples * np.log(spread) + 2.0 * estimated * samples / (samples - sizes - o - 1.0))
 
 
+def _with_whole_past(is_received: NDArray[np.bool_], first: int) -> NDArray[np.int64]:
+    """Places from `first` on at which a sample and the `MAX_ORDER` before it were received."""
+    lost = np.concatenate([[0], np.cumsum(~is_received)])
+    places = np.arange(first, is_received.size)
+    return np.asarray(places[lost[places + 1] == lost[places - MAX_ORDER]])
+
+
 def _rows_of(samples: list[Sample]) -> FloatArray:
     """Outputs, inputs and disturbances, one sample per row."""
-    return np.array([(*s.outputs, *s.inputs, *s.disturbances) for s in samples])
+    return np.array([(*sample.outputs, *sample.inputs, *sample.disturbances) for sample in samples])

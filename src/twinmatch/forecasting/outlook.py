@@ -101,15 +101,15 @@ class StateFilter:
 
     def follow(self, samples: Sequence[Sample]) -> None:
         """Take several samples, the next ones in sequence, each as `push` does."""
-        left = list(samples)
-        while left:
+        pending = list(samples)
+        while pending:
             if self._observer is None or self.parameters.model.is_external:
-                self.push(left.pop(0))
+                self.push(pending.pop(0))
                 continue
-            [taken] = _move_on(ObserverBank([self._observer]), self._inputs, left)
-            self._inputs = left[taken - 1].inputs if taken else self._inputs
-            del left[:taken]
-            if left:
+            [count] = _move_on(ObserverBank([self._observer]), self._inputs, pending)
+            self._inputs = pending[count - 1].inputs if count else self._inputs
+            del pending[:count]
+            if pending:
                 self.restart()
 
     def restart(self) -> None:
@@ -119,22 +119,44 @@ class StateFilter:
     @property
     def states(self) -> FloatArray:
         """States at the newest sample, corrected by its reading, shape (n,)."""
-        return self._started.states
+        return self.observer.states
 
     @property
     def joint(self) -> FloatArray:
         """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
-        own = self._started.covariance
+        state_covariance = self.observer.covariance
         m = len(self.free)
-        n = len(own)
+        n = len(state_covariance)
         joint = np.zeros((n + m, n + m))
-        joint[:n, :n], joint[n:, n:] = own, self.covariance
+        joint[:n, :n] = state_covariance
+        joint[n:, n:] = self.covariance
         return joint
 
     @property
-    def _started(self) -> Observer:
+    def observer(self) -> Observer:
+        """The observer, which has taken a sample."""
         assert self._observer is not None, "a filter needs a first sample"  # noqa: S101
         return self._observer
+
+    @property
+    def has_started(self) -> bool:
+        """Whether it has taken a sample."""
+        return self._observer is not None
+
+    @property
+    def inputs(self) -> Signals:
+        """Those at the newest sample."""
+        return self._inputs
+
+    def take_moved(self, samples: Sequence[Sample], count: int) -> None:
+        """Take samples over the first `count` of which the observer has been moved already.
+
+        Where these are not all, its equations had no finite value at the next, and it starts over there.
+        """
+        self._inputs = samples[-1].inputs
+        if count < len(samples):
+            self.restart()
+            self.follow(samples[count:])
 
 
 def foresight_of(
@@ -177,31 +199,31 @@ class Followers:
             PlantError: as `StateFilter.push`, for a filter without a sample yet.
         """
         following = []
-        for each in filters:
-            if each._observer is None:
-                each.follow(samples)
+        for state_filter in filters:
+            if state_filter.has_started:
+                following.append(state_filter)
             else:
-                following.append(each)
+                state_filter.follow(samples)
         if not (following and samples):
             return
-        observers = [each._started for each in following]
+        observers = [state_filter.observer for state_filter in following]
         if observers != self._observers or self._bank is None:
             self._observers = observers
             self._bank = ObserverBank(observers)
-        numbers = _move_on(self._bank, following[0]._inputs, samples)
-        for each, taken in zip(following, numbers, strict=True):
-            each._inputs = samples[-1].inputs
-            if taken < len(samples):
-                each.restart()
-                each.follow(samples[taken:])
+        counts = _move_on(self._bank, following[0].inputs, samples)
+        for state_filter, count in zip(following, counts, strict=True):
+            state_filter.take_moved(samples, count)
 
 
 def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
     """Move a bank on over samples, under these inputs to the first; how many each observer took."""
-    before = [inputs, *(s.inputs for s in samples[:-1])]
-    rows = [s.disturbances for s in samples] if samples[0].disturbances else None
+    inputs_now = [sample.inputs for sample in samples]
     return bank.push(
-        before, [s.outputs for s in samples], [s.seen for s in samples], rows, [s.inputs for s in samples]
+        [inputs, *inputs_now[:-1]],
+        [sample.outputs for sample in samples],
+        [sample.seen for sample in samples],
+        [sample.disturbances for sample in samples] if samples[0].disturbances else None,
+        inputs_now,
     )
 
 
@@ -272,8 +294,8 @@ class Outlook:
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
         foresight = foresight_of([(self.parameters, self.unsure)], self.law, self.period)
-        now = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
-        return foresight.ahead(now, ahead, disturbances, banded=banded)
+        loop_state = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
+        return foresight.ahead(loop_state, ahead, disturbances, banded=banded)
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,) or (N, r), from the
@@ -284,24 +306,28 @@ class Outlook:
         """
         values = np.array(ahead, dtype=np.float64)
         if values.ndim not in (1, 2) or not values.size or not np.isfinite(values).all():
-            what = "set-points" if self.closed else "inputs"
-            msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
+            signals = "set-points" if self.closed else "inputs"
+            msg = f"forecast: the {signals} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
         predicted = self.predicted(values, disturbances)
         size = len(values)
-        half = deviations(self.parameters.model, predicted.variances)[: len(self.widths)] * self._widths(size)
-        many = predicted.outputs.shape[1]
-        y = predicted.means[:many]
-        u = predicted.means[many:]
+        expected = deviations(self.parameters.model, predicted.variances)[: len(self.widths)]
+        half = expected * self._widths(size)
+        n_outputs = predicted.outputs.shape[1]
+        y = predicted.means[:n_outputs]
+        u = predicted.means[n_outputs:]
+        output_bands = []
+        for mean, half_width in zip(y, half, strict=False):
+            output_bands.append(Band(mean, mean - half_width, mean + half_width))
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
             structure=self.parameters.model.structure_name,
             confidence=CONFIDENCE,
             time=np.arange(1, size + 1, dtype=np.float64) * self.period,
-            references=values if self.closed else np.full((size, many), np.nan),
-            outputs=tuple(Band(mean, mean - by, mean + by) for mean, by in zip(y, half, strict=False)),
-            inputs=self._input_bands(u, half[many:]),
+            references=values if self.closed else np.full((size, n_outputs), np.nan),
+            outputs=tuple(output_bands),
+            inputs=self._input_bands(u, half[n_outputs:]),
             notes=self.notes + self._assumptions(values, disturbances) + self._notes_on_range(y),
         )
 
@@ -310,13 +336,14 @@ class Outlook:
         plant = self.parameters.model.plant
         notes = []
         if not self.closed:
-            stays = bool((ahead.reshape(len(ahead), -1) == self.sample.inputs).all())
-            drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
-            level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
-            what = f"a constant input of {level}" if stays else "the given inputs"
-            notes.append(f"the loop is not known: the forecast is for {what}")
+            inputs_ahead = "the given inputs"
+            if (ahead.reshape(len(ahead), -1) == self.sample.inputs).all():
+                drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
+                level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
+                inputs_ahead = f"a constant input of {level}"
+            notes.append(f"the loop is not known: the forecast is for {inputs_ahead}")
         if self.sample.disturbances and disturbances is None:
-            names = " and ".join(d.text or d.name for d in plant.disturbances.values())
+            names = " and ".join(column.text or column.name for column in plant.disturbances.values())
             notes.append(f"the forecast assumes that the measured disturbances ({names}) stay constant")
         return tuple(notes)
 
@@ -325,12 +352,15 @@ class Outlook:
         if self.law is None:
             return tuple(Band(mean, mean, mean) for mean in means)
         bands = []
-        law = self.law.code
-        drives = self.parameters.model.plant.drives.values()
-        for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
-            low = max(float(law[LOW + k]), drive.limits[0])
-            high = min(float(law[LOW + len(means) + k]), drive.limits[1])
-            bands.append(Band(mean, np.clip(mean - half, low, high), np.clip(mean + half, low, high)))
+        m = len(means)
+        lows, highs = self.law.code[LOW : LOW + 2 * m].reshape(2, m)
+        drives = list(self.parameters.model.plant.drives.values())
+        for k in range(m):
+            low = max(float(lows[k]), drives[k].limits[0])
+            high = min(float(highs[k]), drives[k].limits[1])
+            lower = np.clip(means[k] - halves[k], low, high)
+            upper = np.clip(means[k] + halves[k], low, high)
+            bands.append(Band(means[k], lower, upper))
         return tuple(bands)
 
     def _widths(self, samples: int) -> FloatArray:
@@ -342,16 +372,16 @@ class Outlook:
         """A note for each output whose forecast leaves the visited range."""
         notes = []
         declared = self.parameters.model.plant.outputs
-        for y, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
-            room = _MARGIN * y.noise
-            reach = float(values.min()), float(values.max())
-            if visited[0] - room <= reach[0] and reach[1] <= visited[1] + room:
+        for output, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
+            room = _MARGIN * output.noise
+            low, high = visited
+            lowest = float(values.min())
+            highest = float(values.max())
+            if low - room <= lowest and highest <= high + room:
                 continue
-            of = f" of {y.name}" if len(declared) > 1 else ""
-            span = f"{visited[0]:.4g} to {visited[1]:.4g} {y.unit}"
-            went = f"{reach[0]:.4g} to {reach[1]:.4g} {y.unit}"
+            of_output = f" of {output.name}" if len(declared) > 1 else ""
             notes.append(
-                f"the forecast{of} covers {went}, but only {span} was visited: "
-                "beyond that the band may not hold"
+                f"the forecast{of_output} covers {lowest:.4g} to {highest:.4g} {output.unit}, but only "
+                f"{low:.4g} to {high:.4g} {output.unit} was visited: beyond that the band may not hold"
             )
         return tuple(notes)

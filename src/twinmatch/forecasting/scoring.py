@@ -66,9 +66,15 @@ class Calibration:
     """Quotients |error| / standard deviation of one twin, by lead, and the widths that follow."""
 
     def __init__(
-        self, leads: tuple[int, ...], kept: float, recent: float, signals: int = 2, stride: int = 1,
-        *, outputs: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        leads: tuple[int, ...],
+        kept: float,
+        recent: float,
+        signals: int = 2,
+        stride: int = 1,
+        *,
+        outputs: int = 1,
+    ) -> None:
         """Begin with the prior only.
 
         Args:
@@ -92,7 +98,7 @@ class Calibration:
         self._first = [0] * len(leads)
         self._end = [_HALF_NORMAL.size] * len(leads)
         self._learned = [0] * len(leads)
-        # Of the newest quotient, the one before it …
+        # By age, beginning with the weight of the newest quotient.
         self._weights: list[float] = np.cumprod([1.0, *[kept] * _HALF_NORMAL.size]).tolist()
         self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
         self._counts = np.zeros(len(leads))  # sums of their weights
@@ -109,25 +115,31 @@ class Calibration:
         """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), at leads
         beyond `before`; NaN where a sample was lost. `widths`: those it was given with."""
         size = quotients.shape[1]
-        due = [k for k, lead in enumerate(self.leads) if before < lead <= size]
-        came = quotients[:, [self.leads[k] - 1 for k in due]]
-        kept = [k for k, lost in enumerate(np.isnan(came[0]).tolist()) if not lost]
-        if kept:
-            of = [due[k] for k in kept]
-            self._inside[:, of] = self._kept * self._inside[:, of] + (came[:, kept] <= widths[:, of])
-            self._asked[of] = self._kept * self._asked[of] + 1.0
-            self.add(of, came[:, kept])
+        learned = []
+        columns = []
+        for k, lead in enumerate(self.leads):
+            if before < lead <= size and not np.isnan(quotients[0, lead - 1]):
+                learned.append(k)
+                columns.append(lead - 1)
+        if not learned:
+            return
+        came = quotients[:, columns]
+        is_inside = came <= widths[:, learned]
+        self._inside[:, learned] = self._kept * self._inside[:, learned] + is_inside
+        self._asked[learned] = self._kept * self._asked[learned] + 1.0
+        self.add(learned, came)
 
     def coverage(self, before: int, last: int, signal: int | None = None) -> tuple[float, float]:
         """Share of the readings that the bands have held at leads after `before` up to `last`, of one
         `signal` or of all the least, and the effective number of forecasts in it that do not overlap; NaN
         without any."""
-        due = [k for k, lead in enumerate(self.leads) if before < lead <= last and self._asked[k] > 0.0]
-        if not due:
+        asked = [k for k, lead in enumerate(self.leads) if before < lead <= last and self._asked[k] > 0.0]
+        if not asked:
             return np.nan, np.nan
-        shares = (self._inside[:, due] / self._asked[due]).mean(axis=1)
+        shares = (self._inside[:, asked] / self._asked[asked]).mean(axis=1)
         share = shares.min() if signal is None else shares[signal]
-        return float(share), float(self._asked[due[-1]] * self._new[due[-1]])
+        longest = asked[-1]
+        return float(share), float(self._asked[longest] * self._new[longest])
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""
@@ -148,13 +160,15 @@ class Calibration:
         self._stale.update(leads)
 
     def _make_room(self, lead: int) -> None:
+        """Move the quotients that count to the front, or double the room if they fill more than half."""
         first = self._first[lead]
         end = self._end[lead]
         if 2 * (end - first) > end:
             self._quotients = np.concatenate([self._quotients, np.zeros_like(self._quotients)], axis=2)
             return
         self._quotients[lead, :, : end - first] = self._quotients[lead, :, first:end]
-        self._first[lead], self._end[lead] = 0, end - first
+        self._first[lead] = 0
+        self._end[lead] = end - first
 
     @property
     def widths(self) -> FloatArray:
@@ -182,16 +196,19 @@ class Calibration:
         return scales
 
     def _quantile(self, lead: int) -> FloatArray:
+        """The weighted quantile of the quotients of each signal that a band has to hold, shape (signals,)."""
         quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]].T
-        ages = np.minimum(np.arange(len(quotients))[::-1], self._learned[lead])
-        weights = np.array(self._weights)[ages]
+        ages = np.arange(len(quotients))[::-1]
+        # Those of the prior are as old as the first that was learned.
+        weights = np.array(self._weights)[np.minimum(ages, self._learned[lead])]
         order = np.argsort(quotients, axis=0, kind="stable")
         # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
         # since it shares less with those before than they do with each other.
-        more = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
-        share = np.cumsum(weights[order], axis=0) / (weights.sum() + more)
-        at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
-        return np.asarray(quotients[order[at, self._signals], self._signals])
+        weight_of_next = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
+        share = np.cumsum(weights[order], axis=0) / (weights.sum() + weight_of_next)
+        ranks = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
+        places = order[ranks, self._signals]
+        return np.asarray(quotients[places, self._signals])
 
 
 _PRIOR_WEIGHT: Final = 3.0
@@ -243,9 +260,10 @@ class Ledger:
 
     def _set(self, sources: Iterable[tuple[str | int, str | int]]) -> None:
         """Have these accounts only: each a copy of one that there is, or a new one; and one more, empty."""
-        old = {name: self._accounts[row] for name, row in self._rows.items()}
         new = np.tile(self._new, (self.horizons, 1))
-        accounts = {name: old.get(source, new) for name, source in sources}
+        accounts = {}
+        for name, source in sources:
+            accounts[name] = self._accounts[self._rows[source]] if source in self._rows else new
         self._accounts = np.array([*accounts.values(), new])
         self._rows = {name: row for row, name in enumerate(accounts)}
 
@@ -256,7 +274,8 @@ class Ledger:
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
         if predecessor in self._rows:
-            self._set([*((each, each) for each in self._rows), (name, predecessor)])
+            standing = [(candidate, candidate) for candidate in self._rows]
+            self._set([*standing, (name, predecessor)])
 
     def add(self, names: Sequence[str], errors: FloatArray, baselines: FloatArray, horizon: int) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample.
@@ -269,26 +288,29 @@ class Ledger:
         accounts = (*range(len(BASELINES)), *names)
         if not self._rows.keys() >= {*accounts}:
             self._set((name, name) for name in (*self._rows, *accounts))
-        h = horizon
         rows = [self._rows[name] for name in accounts]
         sizes = np.abs(np.concatenate([baselines, errors]))
         means = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
-        account = self._accounts[rows, h]
-        baseline = means[: len(BASELINES)].ravel()
-        widths = np.maximum(account[:, _MEANS : _MEANS + self.noise.size], _NARROWEST * self.noise)
+        account = self._accounts[rows, horizon]
+        account[:, _LENGTH] = self.kept * account[:, _LENGTH] + self._characters(account, means)
+        account[:, _WEIGHT] = self.kept * account[:, _WEIGHT] + 1.0
+        before = self.kept * account[:, _COUNTED, None]
+        counted = before + 1.0
+        account[:, _COUNTED] = counted[:, 0]
+        of_baselines = np.tile(means[: len(BASELINES)].ravel(), (len(means), 1))
+        sizes_beside = np.hstack([means, of_baselines])
+        account[:, self._sizes] = (before * account[:, self._sizes] + sizes_beside) / counted
+        squares = _squared_differences(sizes_beside / account[:, self._sizes])
+        account[:, self._squares] = (before * account[:, self._squares] + squares) / counted
+        self._accounts[rows, horizon] = account
+
+    def _characters(self, account: FloatArray, means: FloatArray) -> FloatArray:
+        """Length of the readings with these mean errors, shape (accounts, signals), in characters, each given
+        a Laplace density of the mean error so far; shape (accounts,)."""
+        mean_errors = account[:, _MEANS : _MEANS + self.noise.size]
+        widths = np.maximum(mean_errors, _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + means / (widths * _LN10)
-        account[:, :_MEANS] *= self.kept
-        before = account[:, _COUNTED, None].copy()
-        account[:, _LENGTH] += characters.sum(axis=1)
-        account[:, [_WEIGHT, _COUNTED]] += 1.0
-        counted = account[:, _COUNTED, None]
-        sizes = np.hstack([means, np.tile(baseline, (len(means), 1))])
-        account[:, self._sizes] = (before * account[:, self._sizes] + sizes) / counted
-        relative = (sizes / account[:, self._sizes]).reshape(len(means), 1 + len(BASELINES), -1)
-        apart = relative[:, :1] - relative[:, 1:]
-        apart = np.hstack([apart.mean(axis=2), apart.reshape(len(means), -1)])
-        account[:, self._squares] = (before * account[:, self._squares] + np.square(apart)) / counted
-        self._accounts[rows, h] = account
+        return np.asarray(characters.sum(axis=1))
 
     def skills(self, name: str, signal: int | None = None) -> tuple[FloatArray, FloatArray]:
         """Skill of a candidate at each horizon beside each of `BASELINES`, and the upper end of its one-sided
@@ -297,13 +319,13 @@ class Ledger:
         Of all signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
         were compared.
         """
+        count = len(BASELINES)
         if name not in self._rows:
-            unknown = np.full((len(BASELINES), self.horizons), np.nan)
+            unknown = np.full((count, self.horizons), np.nan)
             return unknown, unknown
         account = self._accounts[self._rows[name]]
-        sizes = account[:, self._sizes].T.reshape(1 + len(BASELINES), -1, self.horizons)
+        sizes = account[:, self._sizes].T.reshape(1 + count, -1, self.horizons)
         squares = account[:, self._squares].T
-        count = len(BASELINES)
         ratios = np.log(sizes[0] / sizes[1:])
         if signal is None:
             ratios = ratios.mean(axis=1)
@@ -312,9 +334,10 @@ class Ledger:
             ratios = ratios[:, signal]
             squares = squares[count + signal :: self.noise.size]
         errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
-        known = account[:, _WEIGHT] >= _COMPARED
-        skill, high = (1.0 - np.exp(each) for each in (ratios, ratios - _ONE_SIDED * errors))
-        return np.where(known, skill, np.nan), np.where(known, high, np.nan)
+        has_enough = account[:, _WEIGHT] >= _COMPARED
+        skill = 1.0 - np.exp(ratios)
+        high = 1.0 - np.exp(ratios - _ONE_SIDED * errors)
+        return np.where(has_enough, skill, np.nan), np.where(has_enough, high, np.nan)
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
@@ -333,3 +356,16 @@ class Ledger:
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
         trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
         return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))
+
+
+def _squared_differences(relative: FloatArray) -> FloatArray:
+    """Square of the difference of errors from those of each baseline, both relative to their means.
+
+    From rows of the candidate's errors and then those of every baseline, each of all signals: the mean over
+    the signals beside each baseline, and then each signal beside each.
+    """
+    by_source = relative.reshape(len(relative), 1 + len(BASELINES), -1)
+    differences = by_source[:, :1] - by_source[:, 1:]
+    of_all = differences.mean(axis=2)
+    of_each = differences.reshape(len(relative), -1)
+    return np.asarray(np.square(np.hstack([of_all, of_each])))

@@ -169,11 +169,13 @@ def _range_of(signal: Output | Drive | None) -> tuple[float, float, str]:
         return -math.inf, math.inf, ""
     if isinstance(signal, Drive):
         return (*signal.limits, signal.unit)
-    sense = signal.set_points or signal.span
-    low, high = (
-        safe if math.isfinite(safe) else other for safe, other in zip(signal.safe, sense, strict=True)
+    low, high = signal.safe
+    useful_low, useful_high = signal.set_points or signal.span
+    return (
+        low if math.isfinite(low) else useful_low,
+        high if math.isfinite(high) else useful_high,
+        signal.unit,
     )
-    return low, high, signal.unit
 
 
 def _with(value: float, unit: str) -> str:

@@ -56,16 +56,22 @@ def time_to_reach(forecast: Forecast, level: float, tolerance: float) -> Moment:
     band = forecast.output
     start = float(band.mean[0])
     if abs(start - level) <= tolerance:
-        within = (band.low >= level - tolerance) & (band.high <= level + tolerance)
+        is_within = (band.low >= level - tolerance) & (band.high <= level + tolerance)
         first = float(forecast.time[0])
-        return Moment(first, first, _first(forecast, within))
-    rising = start < level
-    goal = level - tolerance if rising else level + tolerance
-    ahead, behind = (band.high, band.low) if rising else (band.low, band.high)
-    mean, early, late = (
-        _first(forecast, edge >= goal if rising else edge <= goal) for edge in (band.mean, ahead, behind)
+        return Moment(first, first, _first(forecast, is_within))
+    if start < level:
+        goal = level - tolerance
+        return Moment(
+            expected=_first(forecast, band.mean >= goal),
+            earliest=_first(forecast, band.high >= goal),
+            latest=_first(forecast, band.low >= goal),
+        )
+    goal = level + tolerance
+    return Moment(
+        expected=_first(forecast, band.mean <= goal),
+        earliest=_first(forecast, band.low <= goal),
+        latest=_first(forecast, band.high <= goal),
     )
-    return Moment(mean, early, late)
 
 
 def settling_time(forecast: Forecast, level: float, tolerance: float) -> Moment:
@@ -91,11 +97,17 @@ def largest_input(forecast: Forecast) -> Peak:
     """The largest |u|."""
     band = forecast.input
     sizes = np.abs(band.mean)
-    at = int(np.argmax(sizes))
+    place = int(np.argmax(sizes))
     edges = np.stack([np.abs(band.low), np.abs(band.high)])
     # If the band contains zero, u may be zero.
-    least = np.where((band.low <= 0.0) & (band.high >= 0.0), 0.0, edges.min(axis=0))
-    return Peak(float(sizes[at]), float(forecast.time[at]), float(least.max()), float(edges.max()))
+    may_be_zero = (band.low <= 0.0) & (band.high >= 0.0)
+    least = np.where(may_be_zero, 0.0, edges.min(axis=0))
+    return Peak(
+        expected=float(sizes[place]),
+        time=float(forecast.time[place]),
+        least=float(least.max()),
+        most=float(edges.max()),
+    )
 
 
 def _check(forecast: Forecast, level: float, tolerance: float) -> None:

@@ -140,8 +140,8 @@ def _outputs_under(  # noqa: PLR0917 (what a run needs)
                     if instant:
                         read[0] = inputs[min(i, n) if k == 0 else 0]
                     call(code[SWITCHES], at, read, usual, work.p, work.b, work.b)
-                    call(code[OUTPUTS], at, read, usual, work.p, work.b, work.seen)
-                    found[k, place] = work.seen[0]
+                    call(code[OUTPUTS], at, read, usual, work.p, work.b, work.outputs)
+                    found[k, place] = work.outputs[0]
             if i < n + later:
                 now = min(i, n - 1)
                 u[0] = inputs[now] if k == 0 else levels[k - 1]

@@ -145,10 +145,17 @@ class ParameterChange:
         bound = self.bounds[1] if self.size > 0 else self.bounds[0]
         if self.kind == "step" or not math.isfinite(bound) or (self.relative and bound <= 0.0):
             return None
-        way = abs(math.log(bound / self.new)) if self.relative else abs(bound - self.new)
-        size = math.log1p(self.size) if self.relative else self.size
-        rates = [max(abs(size) + k * _NINETY * self.error, 0.0) / self.days for k in (0, 1, -1)]
-        expected, low, high = (way / rate if rate > 0.0 else math.inf for rate in rates)
+        if self.relative:
+            distance = abs(math.log(bound / self.new))
+            size = math.log1p(self.size)
+        else:
+            distance = abs(bound - self.new)
+            size = self.size
+        times = []
+        for deviations in (0, _NINETY, -_NINETY):
+            rate = max(abs(size) + deviations * self.error, 0.0) / self.days
+            times.append(distance / rate if rate > 0.0 else math.inf)
+        expected, low, high = times
         return expected, low, high
 
     def _leaving(self, per: str) -> str:
@@ -176,11 +183,11 @@ class MemoryReport(NamedTuple):
         least = 2 * MIN_SIDE
         if count < least:
             return f"what changes shows from {least} sessions on, and only {count} can be compared"
-        told = "; ".join(change.sentence for change in self.changes)
-        told = told or f"between these {count} sessions nothing has changed by more than they vary"
+        words = "; ".join(change.sentence for change in self.changes)
+        words = words or f"between these {count} sessions nothing has changed by more than they vary"
         if not self.restless:
-            return told
-        return f"{told}; another one in every session: the {' and the '.join(self.restless)}"
+            return words
+        return f"{words}; another one in every session: the {' and the '.join(self.restless)}"
 
 
 def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
@@ -188,78 +195,106 @@ def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
     newest = in_order(lessons)[-MAX_SESSIONS:]
     if len(newest) < 2 * MIN_SIDE:
         return MemoryReport(newest, histories_of(newest, model) if newest else [], [], [])
-    every = histories_of(newest, model)
-    when, dated = _times(newest)
-    names = [lesson.name for lesson in newest]
-    found: list[ParameterChange] = []
-    for history in every:  # parameters first, then combinations of those that are not named by themselves
-        if not any(set(history.parts) & {change.name} for change in found):
-            found += _changes(history, when, names, dated, len(every))
-    named = {change.name for change in found}
-    restless = [h.words for h in every if len(h.parts) == 1 and h.name not in named and _spread(h) > _TIGHTER]
-    return MemoryReport(newest, every, found, restless)
+    histories = histories_of(newest, model)
+    sessions = _SessionTimes.of(newest)
+    changes: list[ParameterChange] = []
+    for history in histories:  # parameters first, then combinations of those that are not named by themselves
+        if not any(change.name in history.parts for change in changes):
+            changes += _changes(history, sessions, len(histories))
+    changed = {change.name for change in changes}
+    restless = []
+    for history in histories:
+        is_single = len(history.parts) == 1
+        if is_single and history.name not in changed and _spread(history) > _TIGHTER:
+            restless.append(history.words)
+    return MemoryReport(newest, histories, changes, restless)
 
 
 def shared_structure(lessons: Sequence[Lesson]) -> str:
     """The structure in which sessions are compared: the one that led in most of them, of equals the one with
     lessons from most; empty without lessons."""
-    count = Counter(one.structure for one in lessons)
-    led = Counter(one.structure for one in lessons if one.led)
+    count = Counter(lesson.structure for lesson in lessons)
+    led = Counter(lesson.structure for lesson in lessons if lesson.led)
     return max(count, key=lambda name: (led[name], count[name]), default="")
 
 
 def histories_of(lessons: Sequence[Lesson], model: Model) -> list[ParameterHistory]:
     """Free parameters over these sessions, and ratios and products that are known better than their parts."""
-    values = np.array([one.values for one in lessons])
-    covariances = np.array([one.covariance for one in lessons])
-    declared = [model.declared[name] for name in lessons[0].free]
-    by_logs = [p.relative and bool((values[:, k] > 0).all()) for k, p in enumerate(declared)]
-    units = np.where(by_logs, values, [p.scale for p in declared])
+    free = lessons[0].free
+    declared = [model.declared[name] for name in free]
+    values = np.array([lesson.values for lesson in lessons])
+    covariances = np.array([lesson.covariance for lesson in lessons])
+    by_logs = []
+    for k, parameter in enumerate(declared):
+        by_logs.append(parameter.relative and bool((values[:, k] > 0).all()))
+    units = np.where(by_logs, values, [parameter.scale for parameter in declared])
     covariances = covariances / units[:, :, None] / units[:, None, :]
-    single = [
-        ParameterHistory(
-            name,
-            p.text or name.replace("_", " "),
-            p.unit,
-            values[:, k],
-            0.0 if by_logs[k] else p.scale,
-            np.sqrt(covariances[:, k, k]),
-            (name,),
-            p.bounds,
+    histories = []
+    for k, (name, parameter) in enumerate(zip(free, declared, strict=True)):
+        histories.append(
+            ParameterHistory(
+                name=name,
+                words=parameter.text or name.replace("_", " "),
+                unit=parameter.unit,
+                values=values[:, k],
+                scale=0.0 if by_logs[k] else parameter.scale,
+                deviations=np.sqrt(covariances[:, k, k]),
+                parts=(name,),
+                bounds=parameter.bounds,
+            )
         )
-        for k, (name, p) in enumerate(zip(lessons[0].free, declared, strict=True))
-    ]
-    places = [k for k, by_log in enumerate(by_logs) if by_log]
-    pairs = (_pair(single[i], single[j], covariances[:, i, j]) for i, j in combinations(places, 2))
-    return [*single, *(pair for pair in pairs if pair is not None)]
+    combined = []
+    for i, j in combinations(np.flatnonzero(by_logs).tolist(), 2):
+        pair = _pair(histories[i], histories[j], covariances[:, i, j])
+        if pair is not None:
+            combined.append(pair)
+    return histories + combined
 
 
-def _pair(one: ParameterHistory, other: ParameterHistory, covariance: FloatArray) -> ParameterHistory | None:
+def _pair(
+    first: ParameterHistory, second: ParameterHistory, covariance: FloatArray
+) -> ParameterHistory | None:
     """Ratio or product of two parameters; None unless it is known far better than either."""
-    sign = -1.0 if np.median(covariance) > 0.0 else 1.0
-    variances = np.square(one.deviations) + np.square(other.deviations) + 2.0 * sign * covariance
+    is_ratio = bool(np.median(covariance) > 0.0)
+    sign = -1.0 if is_ratio else 1.0
+    variances = np.square(first.deviations) + np.square(second.deviations) + 2.0 * sign * covariance
     deviations = np.sqrt(np.maximum(variances, 1e-12))
-    least = min(np.median(one.deviations), np.median(other.deviations))
+    least = min(np.median(first.deviations), np.median(second.deviations))
     if not _TIGHTER * np.median(deviations) < least:
         return None
-    mark, values = ("/", one.values / other.values) if sign < 0 else ("·", one.values * other.values)
+    mark = "/" if is_ratio else "·"
+    word = "ratio" if is_ratio else "product"
     return ParameterHistory(
-        f"{one.name} {mark} {other.name}",
-        f"{'ratio' if sign < 0 else 'product'} of {one.words} and {other.words}",
-        "",
-        values,
-        0.0,
-        deviations,
-        (*one.parts, *other.parts),
-        (-math.inf, math.inf),
+        name=f"{first.name} {mark} {second.name}",
+        words=f"{word} of {first.words} and {second.words}",
+        unit="",
+        values=first.values / second.values if is_ratio else first.values * second.values,
+        scale=0.0,
+        deviations=deviations,
+        parts=(*first.parts, *second.parts),
+        bounds=(-math.inf, math.inf),
     )
 
 
-def _times(lessons: Sequence[Lesson]) -> tuple[FloatArray, bool]:
-    """When each session began, in days, or their numbers if they are not dated; and whether they are."""
-    began = np.array([lesson.began for lesson in lessons], dtype=np.float64) / _DAY
-    dated = bool((np.diff(began) > 0.0).all())
-    return (began if dated else np.arange(len(lessons), dtype=np.float64)), dated
+class _SessionTimes(NamedTuple):
+    """Sessions in their order, and when each began."""
+
+    names: list[str]
+    when: FloatArray
+    """Days, or numbers of the sessions if they are not dated, shape (n,)."""
+    dated: bool
+
+    @classmethod
+    def of(cls, lessons: Sequence[Lesson]) -> _SessionTimes:
+        """Those of lessons, oldest first."""
+        names = [lesson.name for lesson in lessons]
+        began = np.array([lesson.began for lesson in lessons], dtype=np.float64) / _DAY
+        dated = bool((np.diff(began) > 0.0).all())
+        return cls(names, began if dated else np.arange(len(lessons), dtype=np.float64), dated)
+
+    def part(self, first: int, end: int) -> _SessionTimes:
+        """Some of them."""
+        return _SessionTimes(self.names[first:end], self.when[first:end], self.dated)
 
 
 class _Fitted(NamedTuple):
@@ -281,31 +316,39 @@ def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
     # Surroundings, whose zero is arbitrary, are expected to be others every session; properties are not.
     prior = np.zeros(_SPREADS.size) if history.scale else -2.0 * np.log1p(_SPREADS)
     prior -= np.log(np.exp(prior).sum())
-    each = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
-    logs = np.array([fitted.evidence for fitted in each]) + prior[:, None]
-    best = logs.argmax(axis=0)
+    fits = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
+    logs = np.array([fit.evidence for fit in fits]) + prior[:, None]
     most = logs.max(axis=0)
     evidence = most + np.log(np.exp(logs - most).sum(axis=0))
-    rest = (np.array(rows)[best, np.arange(len(shapes))] for rows in zip(*(f[1:] for f in each), strict=True))
-    return _Fitted(evidence, *rest)
+    best = (logs.argmax(axis=0), np.arange(len(shapes)))
+    return _Fitted(
+        evidence=evidence,
+        level=np.array([fit.level for fit in fits])[best],
+        size=np.array([fit.size for fit in fits])[best],
+        error=np.array([fit.error for fit in fits])[best],
+    )
 
 
 def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted:
     """The same for one spread, by iteratively reweighted least squares."""
     weights = np.tile(1.0 / variances, (len(shapes), 1))
     for _ in range(_ROUNDS):
+        # normal equations: a·level + b·size = Σ w·y and b·level + c·size = Σ w·shape·y
+        weighted_shapes = weights * shapes
         a = weights.sum(axis=1)
-        b = (weights * shapes).sum(axis=1)
+        b = weighted_shapes.sum(axis=1)
         c = (weights * shapes**2).sum(axis=1)
         c += 1.0 / _SIZE**2
         determinant = a * c - b**2
         of_y = weights @ y
-        of_shape = (weights * shapes) @ y
+        of_shape = weighted_shapes @ y
         level = (c * of_y - b * of_shape) / determinant
         size = (a * of_shape - b * of_y) / determinant
-        squares = np.square(y - level[:, None] - size[:, None] * shapes) / variances
+        residuals = y - level[:, None] - size[:, None] * shapes
+        squares = np.square(residuals) / variances
         weights = (_TAILS + 1.0) / (_TAILS + squares) / variances
-    likelihood = -0.5 * ((_TAILS + 1.0) * np.log1p(squares / _TAILS) + np.log(variances)).sum(axis=1)
+    losses = (_TAILS + 1.0) * np.log1p(squares / _TAILS) + np.log(variances)
+    likelihood = -0.5 * losses.sum(axis=1)
     evidence = likelihood - 0.5 * np.log(determinant) - 0.5 * np.square(size / _SIZE) - math.log(_SIZE)
     return _Fitted(evidence, level, size, np.sqrt(a / determinant))
 
@@ -318,50 +361,95 @@ def _spread(history: ParameterHistory) -> float:
     )
 
 
-def _changes(
-    history: ParameterHistory, when: FloatArray, names: Sequence[str], dated: bool, among: int
-) -> list[ParameterChange]:
+def _changes(history: ParameterHistory, sessions: _SessionTimes, among: int) -> list[ParameterChange]:
     """The changes of one parameter, oldest first; `among` is the number of those that are looked at."""
     n = history.values.size
     if n < 2 * MIN_SIDE:
         return []
-    steps = range(MIN_SIDE, n - MIN_SIDE + 1)
-    ramp = (when - when[0]) / (when[-1] - when[0])
-    trends = [ramp] if n >= MIN_TREND else []
-    shapes = np.array([np.zeros(n), *(np.arange(n) >= k for k in steps), *trends], dtype=np.float64)
-    fitted = _fit(history, shapes)
-    evidence = fitted.evidence[1:] - fitted.evidence[0]
-    kinds = np.array([*[0.5 / len(steps)] * len(steps), *[0.5] * len(trends)])
-    total = float(np.log(kinds @ np.exp(np.minimum(evidence, _MOST)))) - math.log(among)
-    if total < CREDIBLE:
+    hypotheses = _Hypotheses.of(history, sessions)
+    evidence = hypotheses.evidence_for_any() - math.log(among)
+    if evidence < CREDIBLE:
         return []
-    of_steps = evidence[: len(steps)]
-    is_step = not trends or of_steps.max() >= evidence[-1] - _RARER
-    # From the latest credible moment on the change is complete.
-    place = int(np.flatnonzero(of_steps >= of_steps.max() - _CLOSE)[-1]) if is_step else len(steps)
-    level, size, error = (float(of[place + 1]) for of in fitted[1:])
+    if hypotheses.is_trend:
+        trend = _change(history, sessions, hypotheses, -1, evidence)
+        return [trend]
+    place = hypotheses.latest_step
+    first_after = MIN_SIDE + place
+    step = _change(history, sessions, hypotheses, place, evidence)
+    before = _changes(history.part(0, first_after), sessions.part(0, first_after), among)
+    after = _changes(history.part(first_after, n), sessions.part(first_after, n), among)
+    return [*before, step, *after]
+
+
+class _Hypotheses(NamedTuple):
+    """A parameter under every step, earliest first, and a trend if there are sessions enough."""
+
+    fitted: _Fitted
+    """Under them, shape (K,)."""
+    evidence: FloatArray
+    """For each beyond that of a steady parameter, nats, shape (K,)."""
+    n_steps: int
+
+    @classmethod
+    def of(cls, history: ParameterHistory, sessions: _SessionTimes) -> _Hypotheses:
+        """Those of a parameter over sessions."""
+        n = history.values.size
+        steps = [np.arange(n) >= first_after for first_after in range(MIN_SIDE, n - MIN_SIDE + 1)]
+        when = sessions.when
+        ramp = (when - when[0]) / (when[-1] - when[0])
+        trends = [ramp] if n >= MIN_TREND else []
+        fitted = _fit(history, np.array([np.zeros(n), *steps, *trends], dtype=np.float64))
+        of_changes = _Fitted(*(figures[1:] for figures in fitted))
+        return cls(of_changes, of_changes.evidence - fitted.evidence[0], len(steps))
+
+    @property
+    def of_steps(self) -> FloatArray:
+        """Evidence for each step."""
+        return self.evidence[: self.n_steps]
+
+    def evidence_for_any(self) -> float:
+        """Evidence for all changes together: half of their probability is that of steps, half of a trend."""
+        n_trends = self.evidence.size - self.n_steps
+        kinds = np.array([0.5 / self.n_steps] * self.n_steps + [0.5] * n_trends)
+        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _MOST))))
+
+    @property
+    def is_trend(self) -> bool:
+        """Whether a trend is clearly more credible than every step."""
+        return self.evidence.size > self.n_steps and not self.of_steps.max() >= self.evidence[-1] - _RARER
+
+    @property
+    def latest_step(self) -> int:
+        """Number of the latest credible step: from it on the change is complete."""
+        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _CLOSE)[-1])
+
+
+def _change(
+    history: ParameterHistory, sessions: _SessionTimes, hypotheses: _Hypotheses, place: int, evidence: float
+) -> ParameterChange:
+    """The change of one of the hypotheses; -1 is the trend."""
+    is_step = place >= 0
+    level = float(hypotheses.fitted.level[place])
+    size = float(hypotheses.fitted.size[place])
+    error = float(hypotheses.fitted.error[place])
     old = history.value(level)
     new = history.value(level + size)
-    k = steps[place] if is_step else 0
+    first_after = MIN_SIDE + place if is_step else 0
     relative = not history.scale
-    change = ParameterChange(
+    return ParameterChange(
         name=history.name,
         words=history.words,
         unit=history.unit,
         kind="step" if is_step else "trend",
-        since=names[k],
-        after=names[k - 1],
+        since=sessions.names[first_after],
+        after=sessions.names[first_after - 1],
         old=old,
         new=new,
         relative=relative,
         size=new / old - 1.0 if relative else new - old,
         error=error if relative else error * history.scale,
-        evidence=total,
-        days=float(when[-1] - when[0]),
-        dated=dated,
+        evidence=evidence,
+        days=float(sessions.when[-1] - sessions.when[0]),
+        dated=sessions.dated,
         bounds=history.bounds,
     )
-    if not is_step:
-        return [change]
-    before = _changes(history.part(0, k), when[:k], names[:k], dated, among)
-    return [*before, change, *_changes(history.part(k, n), when[k:], names[k:], dated, among)]

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.comparing import Verdict
+from twinmatch.comparing import ForecastScore, Verdict
 from twinmatch.dynamics import Law, Model, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure, observed_covariance
@@ -46,16 +46,20 @@ class SessionEvidence:
     @property
     def fault_at(self) -> int | None:
         """First sample of the first fault that was reported."""
-        found = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
-        return min(found, default=None)
+        fault_starts = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
+        return min(fault_starts, default=None)
 
     @property
     def healthy(self) -> list[Window]:
         """The stretches before the first fault, without those that are too short."""
         end = self.fault_at
-        whole = [w for w in self.stretches if end is None or w.first < end]
-        kept = [w if end is None or w.last < end else w.part(w.first, end - 1) for w in whole]
-        return [w for w in kept if int(w.marks.sum()) >= MIN_SAMPLES]
+        windows = []
+        for window in self.stretches:
+            if end is None or window.last < end:
+                windows.append(window)
+            elif window.first < end:
+                windows.append(window.part(window.first, end - 1))
+        return [window for window in windows if int(window.marks.sum()) >= MIN_SAMPLES]
 
     @property
     def before_fault(self) -> list[Verdict]:
@@ -82,17 +86,21 @@ def lessons_of(judged: SessionEvidence) -> list[Lesson]:
     windows = judged.healthy
     if not windows:
         return []
-    found = (_lesson(judged, windows, model) for model in _worth_keeping(judged))
-    return [lesson for lesson in found if lesson is not None]
+    lessons = (_lesson(judged, windows, model) for model in _worth_keeping(judged))
+    return [lesson for lesson in lessons if lesson is not None]
 
 
 def _worth_keeping(judged: SessionEvidence) -> list[Model]:
-    plant = judged.plant
+    """The models of which lessons are kept, each once."""
+    structures = judged.plant.structures
     verdicts = judged.before_fault
-    names = [next(iter(plant.structures)), *(n for n, s in plant.structures.items() if s.watched)]
-    names += [name for v in verdicts[-1:] if (name := v.structure)]
-    names += [score.parameters.model.structure_name for v in verdicts if (score := v.leading) is not None]
-    models = [plant.model(name) for name in dict.fromkeys(names) if name in plant.structures]
+    names = [next(iter(structures))]
+    names += [name for name, structure in structures.items() if structure.watched]
+    names += [verdict.structure for verdict in verdicts[-1:]]
+    for verdict in verdicts:
+        if verdict.leading is not None:
+            names.append(verdict.leading.parameters.model.structure_name)
+    models = [judged.plant.model(name) for name in dict.fromkeys(names) if name in structures]
     return [model for model in models if not model.is_external and model.structure.free]
 
 
@@ -107,8 +115,7 @@ def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) ->
         return None
     last = judged.before_fault[-1] if judged.before_fault else None
     leader = None if last is None else last.leading
-    scores = [] if last is None else [s for s in last.forecasts if s.parameters.model is model]
-    best = max(scores, key=lambda s: (s is leader, np.nan_to_num(s.gain, nan=-np.inf)), default=None)
+    score = None if last is None else _score_of(last, model)
     return Lesson(
         session=judged.session,
         name=judged.name.encode(errors="replace").decode(),
@@ -117,21 +124,30 @@ def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) ->
         rig=judged.rig,
         structure=model.structure_name,
         began=judged.began,
-        duration=sum(len(w) * w.period for w in windows),
-        samples=sum(int(w.marks.sum()) for w in windows),
+        duration=sum(len(window) * window.period for window in windows),
+        samples=sum(int(window.marks.sum()) for window in windows),
         parameters=dict(fit.parameters),
         free=model.structure.free,
         covariance=tuple(map(tuple, covariance.tolist())),
-        outputs=_spans([w.outputs[w.marks] for w in windows]),
-        inputs=_spans([w.inputs[w.marks] for w in windows]),
+        outputs=_spans([window.outputs[window.marks] for window in windows]),
+        inputs=_spans([window.inputs[window.marks] for window in windows]),
         led=leader is not None and leader.parameters.model is model,
         chosen=last is not None and last.structure == model.structure_name,
         level="" if last is None else last.level.value,
-        horizons=judged.horizons if best else (),
-        persistence_skill=best.persistence_skill if best else (),
-        arx_skill=best.arx_skill if best else (),
+        horizons=judged.horizons if score else (),
+        persistence_skill=score.persistence_skill if score else (),
+        arx_skill=score.arx_skill if score else (),
         fault_at=judged.fault_at,
     )
+
+
+def _score_of(verdict: Verdict, model: Model) -> ForecastScore | None:
+    """The score of the twin in a structure that leads or, if none does, has gained most; None without one."""
+    leader = verdict.leading
+    if leader is not None and leader.parameters.model is model:
+        return leader
+    scores = [score for score in verdict.forecasts if score.parameters.model is model]
+    return max(scores, key=lambda score: np.nan_to_num(score.gain, nan=-np.inf), default=None)
 
 
 def _converged_fit(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> StructureFit:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import NoReturn
 
 import numpy as np
@@ -73,13 +74,13 @@ class Lesson:
 
     def __post_init__(self) -> None:
         n = len(self.free)
-        values = [v for row in self.covariance for v in row]
-        held = [*values, *self.parameters.values(), *(end for span in self.outputs for end in span)]
-        if len(values) != n * n or not n or not self.parameters.keys() >= {*self.free}:
-            self._refuse(f"{n} free parameters and {len(values)} covariances do not belong together")
-        if not all(map(math.isfinite, held)):
+        covariances = list(chain.from_iterable(self.covariance))
+        numbers = [*covariances, *self.parameters.values(), *chain.from_iterable(self.outputs)]
+        if len(covariances) != n * n or not n or not self.parameters.keys() >= {*self.free}:
+            self._refuse(f"{n} free parameters and {len(covariances)} covariances do not belong together")
+        if not all(map(math.isfinite, numbers)):
             self._refuse("a value is not finite")
-        if not self.outputs or min(values[:: n + 1]) < 0.0:
+        if not self.outputs or min(covariances[:: n + 1]) < 0.0:
             self._refuse("it has no outputs, or a negative variance")
 
     def _refuse(self, why: str) -> NoReturn:
@@ -99,10 +100,13 @@ class Lesson:
 
 def current_lessons(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Lesson]:
     """Those on structures that the plant still has, with the same equations and free parameters."""
-    held = [one for one in lessons if one.plant == plant.name and one.structure in plant.structures]
-    models = {name: plant.model(name) for name in {one.structure for one in held}}
-    keys = {name: (model.equations, model.structure.free) for name, model in models.items()}
-    return [one for one in held if (one.equations, one.free) == keys[one.structure]]
+    current = []
+    for lesson in lessons:
+        if lesson.plant == plant.name and lesson.structure in plant.structures:
+            model = plant.model(lesson.structure)
+            if lesson.equations == model.equations and lesson.free == model.structure.free:
+                current.append(lesson)
+    return current
 
 
 def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:

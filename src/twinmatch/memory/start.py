@@ -33,19 +33,30 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     sessions, then twins of single sessions in it, the newest and those farthest from what is there already;
     then the centres of the other structures. The covariance of all of them is the spread between sessions.
     """
-    usable = [each for each in in_order(current_lessons(lessons, plant)) if _possible(each, plant)]
-    newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[:MAX_SESSIONS]
-    of: dict[str, list[Lesson]] = {}
-    for lesson in usable:
-        if lesson.session in newest:
-            of.setdefault(lesson.structure, []).append(lesson)
-    led = {name: sum(one.led and one.level == "trusted" for one in each) for name, each in of.items()}
-    order = sorted(of, key=lambda structure: led[structure], reverse=True)
+    by_structure = _newest_by_structure(lessons, plant)
+    led = {
+        structure: sum(lesson.led and lesson.level == "trusted" for lesson in lessons_of_it)
+        for structure, lessons_of_it in by_structure.items()
+    }
+    order = sorted(by_structure, key=lambda structure: led[structure], reverse=True)
     if not order or not led[order[0]]:
         return []
-    (centre, *twins), *others = (_remembered(of[structure], plant.model(structure)) for structure in order)
-    rest = (replace(other, name=f"{CENTRE}, {other.parameters.model.structure_name}") for other, *_ in others)
-    return [centre, *twins, *rest]
+    candidates = _remembered(by_structure[order[0]], plant.model(order[0]))
+    for structure in order[1:]:
+        centre = _remembered(by_structure[structure], plant.model(structure))[0]
+        candidates.append(replace(centre, name=f"{CENTRE}, {centre.parameters.model.structure_name}"))
+    return candidates
+
+
+def _newest_by_structure(lessons: Iterable[Lesson], plant: type[Plant]) -> dict[str, list[Lesson]]:
+    """The lessons of the newest sessions that the plant still allows, by structure."""
+    usable = [lesson for lesson in in_order(current_lessons(lessons, plant)) if _possible(lesson, plant)]
+    newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[:MAX_SESSIONS]
+    by_structure: dict[str, list[Lesson]] = {}
+    for lesson in usable:
+        if lesson.session in newest:
+            by_structure.setdefault(lesson.structure, []).append(lesson)
+    return by_structure
 
 
 def _remembered(lessons: Sequence[Lesson], model: Model) -> list[Candidate]:
@@ -62,18 +73,21 @@ def _remembered(lessons: Sequence[Lesson], model: Model) -> list[Candidate]:
     twins = []
     names = [f"session {lessons[k].name}" for k in places]
     for number, (k, name) in enumerate(zip(places, names, strict=True)):
-        again = names[:number].count(name)  # sessions may have one name
-        called = f"{name} ({again + 1})" if again else name
-        own = model.parameters(**lessons[k].parameters)
-        twins.append(Candidate(called, levels[k], own, None, free, covariance))
+        earlier = names[:number].count(name)  # sessions may have one name
+        title = f"{name} ({earlier + 1})" if earlier else name
+        parameters = model.parameters(**lessons[k].parameters)
+        twins.append(Candidate(title, levels[k], parameters, None, free, covariance))
     return [central, *twins]
 
 
 def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArray:
     """Standard deviation of the free parameters between sessions, (n,), from values (sessions, n)."""
     declared = [model.declared[name] for name in model.structure.free]
-    sizes = [abs(c) if each.relative else each.scale for c, each in zip(centre, declared, strict=True)]
-    usual = _EXPECTED * np.array([size or each.scale for size, each in zip(sizes, declared, strict=True)])
+    usual_sizes = []
+    for value, parameter in zip(centre, declared, strict=True):
+        size = abs(value) if parameter.relative else parameter.scale
+        usual_sizes.append(size or parameter.scale)
+    usual = _EXPECTED * np.array(usual_sizes)
     away = np.abs(values - centre)
     most = _FAR * np.maximum(MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _FAR)
     squares = np.square(np.minimum(away, most)).sum(axis=0)
@@ -92,10 +106,10 @@ def _possible(lesson: Lesson, plant: type[Plant]) -> bool:
 def _apart(places: FloatArray) -> list[int]:
     """The newest of the sessions, and those farthest from the centre and from those already taken; `places`
     are relative to the centre, in units of the spread, shape (sessions, n)."""
-    taken = [len(places) - 1]
-    while len(taken) < min(MAX_TWINS, len(places)):
-        others = np.vstack([np.zeros_like(places[:1]), places[taken]])
-        distance = np.linalg.norm(places[:, None] - others, axis=2).min(axis=1)
-        distance[taken] = -1.0
-        taken.append(int(np.argmax(distance)))
-    return taken
+    chosen = [len(places) - 1]
+    while len(chosen) < min(MAX_TWINS, len(places)):
+        occupied = np.vstack([np.zeros_like(places[:1]), places[chosen]])
+        distance = np.linalg.norm(places[:, None] - occupied, axis=2).min(axis=1)
+        distance[chosen] = -1.0
+        chosen.append(int(np.argmax(distance)))
+    return chosen

@@ -109,8 +109,12 @@ class Memory:
             equations: digests of equations, as `Model.equations`; lessons on others are left out.
         """
         wanted: dict[str, Collection[str]] = {} if equations is None else {"equations": [*equations]}
-        wanted |= {name: [value] for name, value in (("plant", plant), ("rig", rig)) if value is not None}
-        where = " AND ".join(f"{n} IN ({', '.join('?' * len(v))})" for n, v in wanted.items()) or "1"
+        if plant is not None:
+            wanted["plant"] = [plant]
+        if rig is not None:
+            wanted["rig"] = [rig]
+        conditions = [f"{name} IN ({', '.join('?' * len(values))})" for name, values in wanted.items()]
+        where = " AND ".join(conditions) or "1"
         lists = " || ',' || ".join(f"'\"{name}\":' || {name}" for name in _LISTS)
         newest = (
             f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
@@ -124,8 +128,8 @@ class Memory:
         """Number of lessons on a rig (None: on all) that are older than those that `lessons` reads."""
         with self._opened() as database:
             query = "SELECT count(*) FROM lesson WHERE rig = ifnull(?, rig)"
-            (held,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
-        return max(0, held - MOST)
+            (count,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
+        return max(0, count - MOST)
 
     def add_comparison(self, found: LawComparison) -> bool:
         """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
@@ -144,14 +148,7 @@ class Memory:
             if database is None or not _keeps_record(database):
                 return []
             rows = database.execute(query, [plant, rig]).fetchall()
-        held = [
-            dict(zip(_COMPARED, [math.nan if v is None else v for v in row], strict=True)) for row in rows
-        ]
-        place = f"memory {self.path}"
-        return [
-            decoded(row | {"stable": bool(row["stable"])}, LawComparison, place, MemoryFaultError)
-            for row in held
-        ]
+        return [self._comparison_of(row) for row in rows]
 
     def forget(self, sessions: Collection[str]) -> list[str]:
         """Remove sessions, given by name or digest; return the names of those that were there."""
@@ -162,8 +159,8 @@ class Memory:
                 return []
             names: set[str] = set()
             for table in ("lesson", "comparison"):
-                found = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
-                names.update(name for (name,) in found)
+                rows = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
+                names.update(name for (name,) in rows)
                 database.execute(f"DELETE FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
             return sorted(names)
 
@@ -195,9 +192,8 @@ class Memory:
     def _check(self, database: sqlite3.Connection, write: bool) -> None:
         """Refuse a file that is not a memory; an empty one becomes one, and a file of the first version gets
         its second table when it is written."""
-        (application,), (version,) = (
-            database.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
-        )
+        (application,) = database.execute("PRAGMA application_id").fetchone()
+        (version,) = database.execute("PRAGMA user_version").fetchone()
         empty = not database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
         if application != _APPLICATION and not (empty and application == 0):
             raise MemoryFaultError(f"memory {self.path}: is a database of another program; give another file")
@@ -213,6 +209,12 @@ class Memory:
         steps = (_TABLE if empty else "") + (_RECORD if empty or (write and version < VERSION) else "")
         for statement in filter(None, steps.strip().split(";\n")):
             database.execute(statement)
+
+    def _comparison_of(self, row: tuple[Any, ...]) -> LawComparison:
+        numbers = [math.nan if value is None else value for value in row]
+        values = dict(zip(_COMPARED, numbers, strict=True))
+        values["stable"] = bool(values["stable"])
+        return decoded(values, LawComparison, f"memory {self.path}", MemoryFaultError)
 
     def _lesson_of(self, row: tuple[Any, ...]) -> Lesson:
         place = f"memory {self.path}"
@@ -233,7 +235,7 @@ def _row_of(lesson: Lesson) -> list[Any]:
 def _plain(value: Any) -> Any:
     """For JSON: NaN becomes null."""
     if isinstance(value, tuple):
-        return [_plain(one) for one in value]
+        return [_plain(element) for element in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -72,7 +72,7 @@ class _NewestWindow(NamedTuple):
     window: Window
     model: SimoModel | None
     """None: the plant has several loops."""
-    now: Parameters | None
+    plant_now: Parameters | None
     """Parameters of the plant fitted to the newest samples, if that was possible."""
 
 
@@ -176,20 +176,28 @@ class CandidatePool:
     def leave_memory(self) -> tuple[str, ...]:
         """If the plant is not the remembered one, remove the remembered twins and the matches that had their
         values as prior; return the names of these."""
-        if self.estranged or not (estranged := self.structures.estranged):
+        estranged = self.structures.estranged
+        if self.estranged or not estranged:
             return ()
         self.estranged = estranged
         self._remembered = ()
         prior = self._settings.prior
-        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])  # new accounts
+        # those that are left out now get new accounts
+        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])
         self.structures.forget()
-        models = {name: member.candidate.parameters.model for name, member in self._members.items()}
-        return self._remove([name for name, model in models.items() if model.structure_name in prior])
+        informed = []
+        for name, member in self._members.items():
+            if member.candidate.parameters.model.structure_name in prior:
+                informed.append(name)
+        return self._remove(informed)
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Remove the candidates fitted to samples that overlap `first` to `last`; return their names."""
-        spans = {name: member.candidate.samples for name, member in self._members.items()}
-        matches = [name for name, span in spans.items() if span[0] <= last and span[1] >= first]
+        matches = []
+        for name, member in self._members.items():
+            first_fitted, last_fitted = member.candidate.samples
+            if first_fitted <= last and last_fitted >= first:
+                matches.append(name)
         return self._remove(matches, self.structures.expel(first, last))
 
     def _remove(self, matches: Sequence[str], structures: tuple[str, ...] = ()) -> tuple[str, ...]:
@@ -213,10 +221,10 @@ class CandidatePool:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        with ThreadPoolExecutor(1) as other:  # both are compiled code, which releases the GIL
-            now = other.submit(self.structures.plant_now)
+        with ThreadPoolExecutor(1) as executor:  # both are compiled code, which releases the GIL
+            plant_fit = executor.submit(self.structures.plant_now)
             model = self._model(window)
-        self._newest = _NewestWindow(window, model, now.result())
+        self._newest = _NewestWindow(window, model, plant_fit.result())
         self.scores = self._score_all(self._newest)
 
     def score_leader(self) -> None:
@@ -257,16 +265,19 @@ class CandidatePool:
 
         Structures beside the family (the paper's) have no Box–Jenkins models.
         """
-        window, plant, now = newest
+        window, plant, plant_now = newest
         family = [self._members[c.name] for c in self._family.candidates]
         candidates = [*self._family.candidates, *beside]
         points = self._points(window)
         loop = self._loop
         count = len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
-        to_now = [None if now is None else plant_gap(c.parameters, now, points, loop) for c in candidates]
+        to_now = [
+            None if plant_now is None else plant_gap(c.parameters, plant_now, points, loop)
+            for c in candidates
+        ]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
-        bare = [_bare_score(*of) for of in zip(candidates, distances, to_now, strict=True)]
+        bare = [_bare_score(*arguments) for arguments in zip(candidates, distances, to_now, strict=True)]
         scores = tuple(
             replace(
                 bare[k],
@@ -281,10 +292,10 @@ class CandidatePool:
         if plant is not None:
             scores, identified = self._with_models(scores, family, window, plant)
         nominal = nominal_of(scores)
-        every = (*scores, *bare[count:])
+        all_scores = (*scores, *bare[count:])
         twins = candidates[:count]
         certainty = judge_uncertainty(
-            every, twins, gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
+            all_scores, twins, gaps.of(count), nominal, loop, plant=plant_now, seed=self._settings.seed
         )
         return FamilyScores(
             candidates=certainty.candidates,
@@ -323,10 +334,13 @@ class CandidatePool:
         if self._settings.law is None:
             settled = newest.outputs[-self._settings.schedule.min_span :].T
             levels = np.array([[y.mean() for y in settled]])
-        seen = np.vstack([levels, *(self._reached or ())])
-        self._reached = seen.min(axis=0), seen.max(axis=0)
-        points = {*map(point_of, self._reached), *(c.operating_point for c in self._family.candidates)}
-        return tuple(sorted(points, key=point_values))
+        if self._reached is not None:
+            levels = np.vstack([levels, *self._reached])
+        lowest = levels.min(axis=0)
+        highest = levels.max(axis=0)
+        self._reached = lowest, highest
+        points = {candidate.operating_point for candidate in self._family.candidates}
+        return tuple(sorted(points | {point_of(lowest), point_of(highest)}, key=point_values))
 
 
 def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:

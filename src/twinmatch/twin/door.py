@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain
 
 from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Law, Parameters
@@ -27,7 +28,8 @@ def filled(
     door = Door.of(settings)
     for verdict in verdicts:
         door.learn(verdict)
-    return [one for sample in samples for one in door.take(sample) if one.usable]
+    settled = chain.from_iterable(door.take(sample) for sample in samples)
+    return [sample for sample in settled if sample.usable]
 
 
 def filled_stretches(

@@ -131,11 +131,13 @@ class Discriminator:
         """Schedule and candidates as at the start."""
         if self._fits is not None:
             wait([self._fits])  # it changes the candidates that are left
-        given = self._begin_with
+        candidates = self._begin_with
         self._schedule = _schedule(self.settings)
-        self._pool = CandidatePool(self.settings, self._spoilt, [each for each in given if each.remembered])
+        self._pool = CandidatePool(
+            self.settings, self._spoilt, [candidate for candidate in candidates if candidate.remembered]
+        )
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.all[0])
-        self._given = [each for each in given if not each.remembered]
+        self._given = [candidate for candidate in candidates if not candidate.remembered]
         self._due: Trigger | None = None
         self._request: MatchRequest | None = None
         self._fits = None
@@ -148,8 +150,8 @@ class Discriminator:
 
     def _trial_between(self, first: int, last: int) -> str:
         """That a law on trial drove between two samples, in words; empty if none did."""
-        found = [(a, b) for a, b in self._trials.items() if a <= last and b >= first]
-        return "".join(f"a law on trial has driven since sample {a}" for a, _ in found[-1:])
+        trials = [(a, b) for a, b in self._trials.items() if a <= last and b >= first]
+        return "".join(f"a law on trial has driven since sample {a}" for a, _ in trials[-1:])
 
     @property
     def forecaster(self) -> Forecaster:
@@ -206,7 +208,7 @@ class Discriminator:
             self.stamps[sample.index] = sample.stamp
             if len(self.stamps) > MAX_STAMPS:
                 del self.stamps[next(iter(self.stamps))]
-            taken = self._taken(sample)
+            stand_in = self._taken(sample)
             self._watched = None
             with self._replacing_defect(verdicts, sample.index, self._begin_health):
                 self._watch(sample)
@@ -214,7 +216,7 @@ class Discriminator:
                 continue
             estimates += self.monitor.estimates
             with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
-                verdicts += self._take(sample, taken)
+                verdicts += self._take(sample, stand_in)
                 if self._snapshots and sample.usable and (sample.seen or sample.refused):
                     snapshots.append(self.forecaster.snapshot())
                 verdicts += self._scheduled(sample)
@@ -273,9 +275,9 @@ class Discriminator:
         checks."""
         before = self._recurring
         lasting = before is not None and (before.place, before.newest) == (defect.place, sample - 1)
-        said = before.said if before is not None and lasting else None
-        due = said is None or sample - said >= self.settings.schedule.stride
-        self._recurring = _Recurring(defect.place, sample if said is None or due else said, sample)
+        last_said = before.said if before is not None and lasting else None
+        due = last_said is None or sample - last_said >= self.settings.schedule.stride
+        self._recurring = _Recurring(defect.place, sample if last_said is None or due else last_said, sample)
         return due
 
     def _no_verdict(self, sample: int, window: tuple[int, int], defect: Defect) -> Verdict:
@@ -344,11 +346,15 @@ class Discriminator:
     def _taken(self, sample: Sample) -> Signals | None:
         """What the law took in place of a sample's outputs where sensors are read through: what was estimated
         at the sample before; None: nothing."""
-        known = {e.signal: e.value for e in self.monitor.estimates if e.signal in self.settings.read_through}
-        if not known:
+        estimates = {
+            estimate.signal: estimate.value
+            for estimate in self.monitor.estimates
+            if estimate.signal in self.settings.read_through
+        }
+        if not estimates:
             return None
         self._stood_in = sample.index
-        return tuple(map(known.get, self.settings.plant.outputs, sample.outputs))
+        return tuple(map(estimates.get, self.settings.plant.outputs, sample.outputs))
 
     def _watch(self, sample: Sample) -> None:
         """Judge the plant's health; it tells of an alarm that has just begun or ended."""
@@ -407,8 +413,8 @@ class Discriminator:
                     match = MatchResult(match.word, f"nothing could be identified: {error}")
             if not scored:
                 pool.score_leader()
-            known = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
-            self._door.learn(verdict := self._told(known))
+            knowledge = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
+            self._door.learn(verdict := self._told(knowledge))
             return verdict
 
     def _told(self, known: Knowledge) -> Verdict:

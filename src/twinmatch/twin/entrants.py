@@ -38,7 +38,7 @@ class Entrants(dict[str, Entrant]):
     @cached_property
     def external(self) -> tuple[str, ...]:
         """Names of those whose equations run elsewhere."""
-        return tuple(n for n, each in self.items() if each.candidate.parameters.model.is_external)
+        return tuple(name for name, entrant in self.items() if entrant.candidate.parameters.model.is_external)
 
     @cached_property
     def native(self) -> tuple[str, ...]:
@@ -114,8 +114,13 @@ class Standings:
         calibration = self._entrants[name].calibration
         total, gains = self._saved[name]
         first, last = candidate.samples
-        spans = [(max((b for b in self._horizons if b < h), default=0), h) for h in self._horizons]
-        coverage, independent = zip(*(calibration.coverage(*span, signal) for span in spans), strict=True)
+        coverage = []
+        independent = []
+        for horizon in self._horizons:
+            before = max((shorter for shorter in self._horizons if shorter < horizon), default=0)
+            share, number = calibration.coverage(before, horizon, signal)
+            coverage.append(share)
+            independent.append(number)
         skills = np.concatenate(self._ledger.skills(name, signal)).tolist()
         return ForecastScore(
             name=name,
@@ -125,8 +130,8 @@ class Standings:
             gain=total,
             gains=tuple(gains),
             forecasts=self._ledger.forecasts(name),
-            coverage=coverage,
-            independent=independent,
+            coverage=tuple(coverage),
+            independent=tuple(independent),
             **dict(zip(_SKILLS, map(tuple, skills), strict=True)),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
@@ -13,8 +13,7 @@ import numpy as np
 
 from twinmatch.comparing import Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law, Plant, PlantError
-from twinmatch.dynamics.forecasts import TwinsNow
-from twinmatch.dynamics.variances import BANDED, MEAN
+from twinmatch.dynamics.forecasts import TwinsNow, Wanted
 from twinmatch.forecasting import (
     Arx,
     ArxForecast,
@@ -56,6 +55,24 @@ class Snapshot(NamedTuple):
             ForecastError: there is no candidate yet, or none of that name.
         """
         return self.outlooks[_check_name(self.leader if name is None else name, self.outlooks)]
+
+
+class _Conditions(NamedTuple):
+    """What forecasts from a sample are made for."""
+
+    ahead: FloatArray
+    """Set-points after it or, if the loop is not known, inputs, shape (N, r)."""
+    disturbances: FloatArray | None
+    """Those from it on, shape (N + 1, d), if there are any."""
+
+
+class _Forecast(NamedTuple):
+    """What one candidate forecast."""
+
+    means: FloatArray
+    """Outputs, then inputs, shape (o + m, N)."""
+    variances: FloatArray
+    """The same; not of use unless bands were wanted."""
 
 
 class _Departure(NamedTuple):
@@ -187,9 +204,10 @@ class Forecaster:
         """Have the twins, and the controller's state, take the samples that are waiting."""
         if not self._waiting:
             return
-        samples, given = map(list, zip(*self._waiting, strict=True))
+        samples = [sample for sample, _ in self._waiting]
+        outputs_taken = np.array([taken for _, taken in self._waiting])
         self._waiting = []
-        came = np.array([(*s.references, *s.outputs, *s.inputs, *s.disturbances, s.seen) for s in samples])
+        came = np.array([_row_of(sample) for sample in samples])
         if not finite(came):
             bad = samples[int(np.argmin(np.isfinite(came).all(axis=1)))].index
             raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
@@ -197,8 +215,8 @@ class Forecaster:
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
             references, _, inputs, _ = self._columns
-            for row, y in zip(came, np.array(given), strict=True):
-                self._controller = self._law.follow(self._controller, row[references], y, row[inputs])
+            for row, outputs in zip(came, outputs_taken, strict=True):
+                self._controller = self._law.follow(self._controller, row[references], outputs, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
     @property
@@ -212,17 +230,17 @@ class Forecaster:
         outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
         names = self._twins.native
         foresight = None
-        now = None
+        loop_state = None
         if names:
             filters = [self._twins[name].state_filter for name in names]
             foresight = self._twins.foresight(self._law, self.period)
             states = [f.states for f in filters]
             covariances = [f.joint for f in filters]
-            now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
+            loop_state = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
         skipped = self._recent[-1].index // self._stride % _OTHERS_EVERY
         learning = (leader,) if skipped else self._twins
         widths = {name: self._twins[name].calibration.widths for name in learning}
-        return _Departure(leader, outlooks, names, foresight, now, self.arx, widths)
+        return _Departure(leader, outlooks, names, foresight, loop_state, self.arx, widths)
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -276,8 +294,8 @@ class Forecaster:
             ForecastError: there is no candidate yet, or none of that name.
         """
         self._catch_up()
-        known = self._twins if self._recent else {}
-        return self._outlook(_check_name(self.leader if name is None else name, known))
+        twins = self._twins if self._recent else {}
+        return self._outlook(_check_name(self.leader if name is None else name, twins))
 
     def _outlook(self, name: str) -> Outlook:
         twin = self._twins[name]
@@ -315,17 +333,16 @@ class Forecaster:
         if not self._recent or self.leader is None:
             return None
         newest = self._recent[-1].index
-        made = [sample for sample in self._departures if sample <= newest - samples]
-        if not made and len(self._recent) <= samples:
-            made = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
-            samples = newest - max(made, default=newest)
-        if not made:
+        departures = [sample for sample in self._departures if sample <= newest - samples]
+        if not departures and len(self._recent) <= samples:
+            departures = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
+            samples = newest - max(departures, default=newest)
+        if not departures:
             return None
         self._catch_up()
-        departure = self._departures[made[-1]]
-        _, outputs, inputs, _ = self._columns
+        departure = self._departures[departures[-1]]
         outlook = departure.outlooks[departure.leader]
-        came = self._rows[made[-1] - newest - 1 :]
+        came = self._rows[departures[-1] - newest - 1 :]
         try:
             forecast = outlook.forecast(*self._conditions(came))
         except PlantError:
@@ -333,11 +350,13 @@ class Forecaster:
                 raise
             return None
         rows = came[-samples:]
-        counted = came[-samples:, -1] > 0.0
-        if not counted.any():
+        is_received = rows[:, -1] > 0.0
+        if not is_received.any():
             return None
-        measured = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
-        return check_band(forecast, *measured, None if counted.all() else counted)
+        _, outputs, inputs, _ = self._columns
+        measured_inputs = None if self._law is None else rows[:, inputs].T
+        counted = None if is_received.all() else is_received
+        return check_band(forecast, rows[:, outputs].T, measured_inputs, counted)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -347,15 +366,14 @@ class Forecaster:
         except PlantError:
             if not self._twins[name].candidate.parameters.model.is_external:
                 raise
-            self._set({other: twin for other, twin in self._twins.items() if other != name})
+            self._set({twin_name: twin for twin_name, twin in self._twins.items() if twin_name != name})
 
-    def _conditions(self, came: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
-        not known) after it, shape (N, r), and disturbances from it on, shape (N + 1, d), if there are any."""
+    def _conditions(self, came: FloatArray) -> _Conditions:
+        """What forecasts from the first of some samples are made for."""
         references, _, inputs, disturbances = self._columns
-        given = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
-        rows = np.ascontiguousarray(came[:, disturbances])
-        return given, rows if rows.size else None
+        ahead = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
+        disturbance_rows = np.ascontiguousarray(came[:, disturbances])
+        return _Conditions(ahead, disturbance_rows if disturbance_rows.size else None)
 
     def _begin(self) -> None:
         """Start over, also after a gap; what was learned stays."""
@@ -401,52 +419,76 @@ class Forecaster:
             return
         self._catch_up()
         came = self._rows[-ahead - 1 :]
-        signals = ledger.noise.size
-        before = max((h for h in self.horizons if h < ahead), default=0)
-        seen = came[1:, -1] > 0.0
-        if not seen[before:].any():
+        before = max((horizon for horizon in self.horizons if horizon < ahead), default=0)
+        is_received = came[1:, -1] > 0.0
+        if not is_received[before:].any():
             return
-        given, rows = self._conditions(came)
-        first = self._columns[1].start
-        measured = np.ascontiguousarray(came[:, first : first + signals].T)
-        measured = measured[:, 1:]
+        conditions = self._conditions(came)
+        signals = ledger.noise.size
+        measured = self._measured(came, signals)
         banded = departure.widths.keys() & self._twins.keys()
-        forecasts: dict[str, tuple[FloatArray, FloatArray]] = {}
+        forecasts = self._forecasts(departure, conditions, banded)
+        means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
+        errors = measured - means.reshape(-1, signals, ahead)
+        for error, (name, forecast) in zip(errors, forecasts.items(), strict=True):
+            if name in banded:
+                twin = self._twins[name]
+                widths = deviations(twin.candidate.parameters.model, forecast.variances)[:signals]
+                quotients = np.abs(error) / widths
+                quotients[:, ~is_received] = np.nan
+                twin.calibration.learn(quotients, before, departure.widths[name])
+        received = np.flatnonzero(is_received)
+        new = received[received >= before]
+        baselines = measured - departure.arx.referees(*conditions)[:, :signals]
+        ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], place)
+        self.standings = Standings(self._twins, ledger, self.horizons)
+        if ahead == self._longest and departure.leader in forecasts:
+            paths = rms(rms(errors[:, :, received], ledger.noise[:, None]))
+            leading = paths[list(forecasts).index(departure.leader)]
+            self._leader_confidence.add(float(leading), float(paths.min()))
+
+    def _measured(self, came: FloatArray, signals: int) -> FloatArray:
+        """The forecast signals behind the first of some samples, shape (signals, N)."""
+        first = self._columns[1].start
+        rows = np.ascontiguousarray(came[:, first : first + signals].T)
+        return rows[:, 1:]
+
+    def _forecasts(
+        self, departure: _Departure, conditions: _Conditions, banded: Collection[str]
+    ) -> dict[str, _Forecast]:
+        """What all candidates that are left forecast from a departure; with variances the banded ones."""
+        forecasts: dict[str, _Forecast] = {}
         if departure.foresight is not None and departure.now is not None:
-            wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
-            told = departure.foresight.each(departure.now, wanted, given, rows)
-            forecasts = {
-                n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use
-            }
+            wanted = [self._wanted_of(name, banded) for name in departure.names]
+            means, variances = departure.foresight.each(departure.now, wanted, *conditions)
+            for k, name in enumerate(departure.names):
+                if wanted[k] is not Wanted.NOTHING:
+                    forecasts[name] = _Forecast(means[k], variances[k])
         for name in self._twins.external:
             if name in departure.outlooks:
                 with self._removing_lost(name):
-                    predicted = departure.outlooks[name].predicted(given, rows, banded=name in banded)
-                    forecasts[name] = predicted.means, predicted.variances
-        means = np.array([means[:signals] for means, _ in forecasts.values()])
-        off = measured - means.reshape(-1, signals, ahead)
-        for error, (name, (_, variances)) in zip(off, forecasts.items(), strict=True):
-            if name in banded:
-                twin = self._twins[name]
-                quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
-                quotients[:, ~seen] = np.nan
-                twin.calibration.learn(quotients, before, departure.widths[name])
-        kept = np.flatnonzero(seen)
-        new = kept[kept >= before]
-        baselines = measured - departure.arx.referees(given, rows)[:, :signals]
-        ledger.add(tuple(forecasts), off[:, :, new], baselines[:, :, new], place)
-        self.standings = Standings(self._twins, ledger, self.horizons)
-        if ahead == self._longest and departure.leader in forecasts:
-            paths = rms(rms(off[:, :, kept], ledger.noise[:, None]))
-            leading = paths[list(forecasts).index(departure.leader)]
-            self._leader_confidence.add(float(leading), float(paths.min()))
+                    predicted = departure.outlooks[name].predicted(*conditions, banded=name in banded)
+                    forecasts[name] = _Forecast(predicted.means, predicted.variances)
+        return forecasts
+
+    def _wanted_of(self, name: str, banded: Collection[str]) -> Wanted:
+        if name not in self._twins:
+            return Wanted.NOTHING
+        return Wanted.BANDED if name in banded else Wanted.MEAN
 
 
 def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
     """Noise of the forecast signals: of all outputs and, where the loop is known, of all inputs; shape
     (signals,)."""
-    drives = [] if law is None else [drive.noise for drive in plant.drives.values()]
-    return np.array([*(output.noise for output in plant.outputs.values()), *drives])
+    noise = [output.noise for output in plant.outputs.values()]
+    if law is not None:
+        noise += [drive.noise for drive in plant.drives.values()]
+    return np.array(noise)
+
+
+def _row_of(sample: Sample) -> tuple[float, ...]:
+    """Set-points, outputs, inputs, disturbances of a sample, and whether it was received."""
+    return (*sample.references, *sample.outputs, *sample.inputs, *sample.disturbances, sample.seen)
 
 
 def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:

@@ -52,8 +52,8 @@ class GapFiller:
     def _interpolate(self, before: Sample, after: Sample) -> list[Sample]:
         """Stand-ins for the samples between two, oldest first; none if too many or a clock set back."""
         steps = after.index - before.index
-        alike = after.stamp > before.stamp and before.shape == after.shape
-        if not (alike and 1 < steps <= self._longest + 1):
+        is_continued = after.stamp > before.stamp and before.shape == after.shape
+        if not (is_continued and 1 < steps <= self._longest + 1):
             return []
         ends = list(zip(before.outputs, after.outputs, strict=True))
         return [
@@ -61,7 +61,7 @@ class GapFiller:
                 before,
                 index=before.index + k,
                 stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
-                outputs=tuple(y + (then - y) * k / steps for y, then in ends),
+                outputs=tuple(y + (y_after - y) * k / steps for y, y_after in ends),
                 seen=False,
             )
             for k in range(1, steps)
@@ -69,26 +69,41 @@ class GapFiller:
 
 
 def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
-    """The stand-ins with the set-points and inputs of the loop."""
+    """The stand-ins with the set-points and inputs of the loop: of the courses that they may have had, that
+    under which the law comes nearest to the commands after them."""
     if after.shape[:3] != (law.n_references, law.n_outputs, law.n_inputs):
         return lost
     state = law.state(Window.from_samples(past, law.period))
     for sample in past[2:]:
-        rows = (np.array(row) for row in (sample.references, sample.outputs, sample.inputs))
-        state = law.follow(state, *rows)
+        references = np.array(sample.references)
+        outputs = np.array(sample.outputs)
+        state = law.follow(state, references, outputs, np.array(sample.inputs))
     stand_ins = lost
     nearest = np.inf
     for references, outputs in _courses(past[-1], [*lost, after]):
         inputs, _ = commands_of(law.code, state, references, outputs)
-        off = float(np.linalg.norm(inputs[-1] - after.inputs))
-        if off <= nearest:
-            nearest = off
-            of_all = (references.tolist(), outputs.tolist(), inputs.tolist())
-            stand_ins = [
-                replace(one, references=tuple(r), outputs=tuple(y), inputs=tuple(u))
-                for one, r, y, u in zip(lost, *of_all, strict=False)
-            ]
+        distance = float(np.linalg.norm(inputs[-1] - after.inputs))
+        if distance <= nearest:
+            nearest = distance
+            stand_ins = _with_course(lost, references, outputs, inputs)
     return stand_ins
+
+
+def _with_course(
+    lost: Sequence[Sample], references: FloatArray, outputs: FloatArray, inputs: FloatArray
+) -> list[Sample]:
+    """The lost samples with the first rows of these."""
+    samples = []
+    for k, sample in enumerate(lost):
+        samples.append(
+            replace(
+                sample,
+                references=tuple(references[k].tolist()),
+                outputs=tuple(outputs[k].tolist()),
+                inputs=tuple(inputs[k].tolist()),
+            )
+        )
+    return samples
 
 
 def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -98,16 +113,14 @@ def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatAr
     """
     old = np.array(before.references)
     new = np.array(behind[-1].references)
-    outputs = np.array([s.outputs for s in behind])
-    passed = np.arange(1.0, len(behind) + 1)
+    outputs = np.array([sample.outputs for sample in behind])
     last = len(behind)
-    yield old + (new - old) * (passed / last)[:, None], outputs
+    steps = np.arange(1.0, last + 1)
+    yield old + (new - old) * (steps / last)[:, None], outputs
     if np.array_equal(old, new):
         return
     for first in range(1, last):
-        share = np.clip((passed - first) / (last - first), 0.0, 1.0)[:, None]
-        yield (
-            np.where(passed[:, None] >= first, new, old),
-            before.outputs + share * (outputs[-1] - before.outputs),
-        )
-    yield np.where(passed[:, None] >= last, new, old), outputs
+        share = np.clip((steps - first) / (last - first), 0.0, 1.0)[:, None]
+        outputs_after_step = before.outputs + share * (outputs[-1] - before.outputs)
+        yield np.where(steps[:, None] >= first, new, old), outputs_after_step
+    yield np.where(steps[:, None] >= last, new, old), outputs

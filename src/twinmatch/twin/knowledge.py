@@ -111,15 +111,17 @@ class Knowledge:
     @property
     def doubts(self) -> dict[float, Shortfall]:
         """Where the leader's forecasts do not pass the test, and why, by horizon, s."""
-        of = self.leading
-        if of is None:
+        leading = self.leading
+        if leading is None:
             return dict.fromkeys(self.horizons, FEW)
-        found = of.doubts(self.horizons, self.trusted)
-        plant = of.parameters.model.plant
+        doubts = leading.doubts(self.horizons, self.trusted)
+        plant = leading.parameters.model.plant
         for name, output in plant.outputs.items() if len(plant.outputs) > 1 else ():
-            each = self.alone[name].doubts(self.horizons, self.trusted)
-            found = {h: doubt.of(output.text or name) for h, doubt in each.items()} | found
-        return found
+            signal_doubts = self.alone[name].doubts(self.horizons, self.trusted)
+            doubts = {
+                horizon: doubt.of(output.text or name) for horizon, doubt in signal_doubts.items()
+            } | doubts
+        return doubts
 
     @property
     def structure_parameters(self) -> Parameters | None:
@@ -153,9 +155,9 @@ def trust_of(known: Knowledge) -> Trust:
 def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
     """What the test says of a leader with nothing else against it."""
     words = doubt_words(doubts)
-    held = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
+    words_trusted = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
     if len(doubts) < len(known.horizons):
-        return Trust(TrustLevel.TRUSTED, f"{held}, but {words}" if words else held)
+        return Trust(TrustLevel.TRUSTED, f"{words_trusted}, but {words}" if words else words_trusted)
     if words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
         return Trust(TrustLevel.DOUBTFUL, words)
     if known.remembered and FEW in doubts.values():
@@ -250,10 +252,10 @@ def no_verdict(
 def _signals(known: Knowledge) -> tuple[SignalScore, ...]:
     """How far to trust the forecasts of each signal; figures of the newest bands are NaN without any."""
     newest = known.bands.each or ((math.nan, math.nan),) * len(known.alone)
-    found = []
+    scores = []
     for (name, score), (miss, inside) in zip(known.alone.items(), newest, strict=True):
         doubts = score.doubts(known.horizons, known.trusted)
         trusted = tuple(horizon for horizon in known.horizons if horizon not in doubts)
         skills = score.persistence_skill, score.arx_skill
-        found.append(SignalScore(name, miss, inside, score.coverage, *skills, trusted))
-    return tuple(found)
+        scores.append(SignalScore(name, miss, inside, score.coverage, *skills, trusted))
+    return tuple(scores)

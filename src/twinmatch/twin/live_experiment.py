@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import chain, groupby
+from itertools import groupby
 
 import numpy as np
 
@@ -71,9 +71,9 @@ class LiveExperiment:
         """The report of its end: the set-point returns to where it was."""
         last = self._samples[-1].index if self._samples else self.report.sample
         brought = self.brought
-        told = f"{reason}; it brought {brought:.3g} characters, {self._expected:.3g} were expected"
+        sentence = f"{reason}; it brought {brought:.3g} characters, {self._expected:.3g} were expected"
         self.report = ExperimentReport(
-            last, phase, self.goal.name, self._first, self._expected, brought, reason=told
+            last, phase, self.goal.name, self._first, self._expected, brought, reason=sentence
         )
         return self.report
 
@@ -99,23 +99,24 @@ class LiveExperiment:
 
     def _over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
         """Why it ends undecided; if it does not, its course is the best for the rest of its time."""
-        left = len(self._rest)
+        remaining = len(self._rest)
         indices = [s.index for s in self._samples]
         if verdict.level is TrustLevel.FAULT:
             return f"stopped: {verdict.level_reason}"
         if indices != list(range(self._first, self._first + len(indices))):
             return "stopped: samples are missing"
-        if not left:
+        if not remaining:
             return "its time is over"
-        if left < MIN_COURSE or self.goal.name == "fault":  # whose contenders begin at rest
+        if remaining < MIN_COURSE or self.goal.name == "fault":  # whose contenders begin at rest
             return ""
         try:
-            found = self._planned(snapshot, left, self._rest)
+            plan = self._planned(snapshot, remaining, self._rest)
         except TwinmatchError as error:
             return f"stopped: {error}"
-        self._found, self._planned_at = found, len(self._samples)
-        self._expected = brought + found.course.characters
-        return "" if found.course.characters >= LEAST else "its rest would tell nothing more"
+        self._found = plan
+        self._planned_at = len(self._samples)
+        self._expected = brought + plan.course.characters
+        return "" if plan.course.characters >= LEAST else "its rest would tell nothing more"
 
     @property
     def _rest(self) -> FloatArray:
@@ -132,13 +133,14 @@ class LiveExperiment:
         """Of contenders to be told apart the best, and what the samples have brought, in characters."""
         if not self._samples:
             return "", 0.0
-        rows = [np.array([getattr(s, name) for s in self._samples]) for name in ("outputs", "inputs")]
+        outputs = np.array([sample.outputs for sample in self._samples])
+        inputs = np.array([sample.inputs for sample in self._samples])
         with one_thread():
-            each = characters_by(self._begun, *rows)
+            characters = characters_by(self._begun, outputs, inputs)
         if not self.goal.pairs:
-            return "", float(each.mean())
-        second, first = np.sort(each)[-2:]
-        return self.goal.label(int(each.argmax())), float(first - second)
+            return "", float(characters.mean())
+        second, first = np.sort(characters)[-2:]
+        return self.goal.label(int(characters.argmax())), float(first - second)
 
     def _planned(
         self, snapshot: Snapshot, size: int | None, rest: FloatArray | None = None
@@ -163,18 +165,28 @@ class LiveExperiment:
             return next_experiment(members, goal, terms, running=rest)
 
     def _reported(self, sample: int, phase: ExperimentPhase, brought: float) -> ExperimentReport:
-        period = self._settings.period
-        steps = [(level, len(list(run))) for level, run in groupby(map(tuple, self._rest.tolist()))]
-        steps.append((self.before, 1))  # should nobody be there at its end, the set-point returns by itself
-        levels = tuple(chain.from_iterable(level for level, _ in steps))
-        held = [n for _, n in steps]
+        levels: list[float] = []
+        holds = []
+        for level, run in groupby(map(tuple, self._rest.tolist())):
+            levels += level
+            holds.append(len(list(run)) * self._settings.period)
+        # should nobody be there at its end, the set-point returns by itself
+        levels += self.before
+        holds.append(self._settings.period)
         return ExperimentReport(
-            sample, phase, self.goal.name, self._first, self._expected, brought,
-            levels, tuple(n * period for n in held), reason=_beside(self._found),
-        )  # fmt: skip
+            sample,
+            phase,
+            self.goal.name,
+            self._first,
+            self._expected,
+            brought,
+            tuple(levels),
+            tuple(holds),
+            reason=_beside(self._found),
+        )
 
 
 def _beside(found: NextExperiment) -> str:
     """What other courses of its length bring."""
-    others = ", ".join(f"{one.name} {one.characters:.3g}" for one in found.others)
-    return f"{found.course.characters:.3g} characters; in the same time {others}"
+    in_words = ", ".join(f"{course.name} {course.characters:.3g}" for course in found.others)
+    return f"{found.course.characters:.3g} characters; in the same time {in_words}"

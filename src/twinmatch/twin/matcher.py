@@ -89,15 +89,15 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     free = settings.free if start.model is first else start.model.structure.free
     try:
         with one_thread():
-            found = _matched(request, settings, start, free)
+            match = _matched(request, settings, start, free)
             new = request.incumbent is None and settings.free == first.structure.free
-            if new and found.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
-                found = _in_another_structure(request, settings, found)
+            if new and match.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
+                match = _in_another_structure(request, settings, match)
     except TwinmatchError:
         raise
     except Exception as error:
-        found = _not_made(request, free, defect_of(error))
-    return MatchReport(request.sample, request.operating_point, found)
+        match = _not_made(request, free, defect_of(error))
+    return MatchReport(request.sample, request.operating_point, match)
 
 
 def _not_made(request: MatchRequest, free: tuple[str, ...], defect: Defect) -> Match:
@@ -131,14 +131,14 @@ def _matched(
 def _in_another_structure(request: MatchRequest, settings: TwinSettings, first: Match) -> Match:
     """The match in the most justified structure in which it is accepted; without one, the first match."""
     models = (settings.plant.model(name) for name in settings.plant.structures)
-    others = [m.typical() for m in models if not m.is_external and m is not request.start.model]
-    of = request.start.model.structure_name
-    for start in explaining(request.window, [request.start, *others], settings.noise, settings.law):
+    typical_starts = [m.typical() for m in models if not m.is_external and m is not request.start.model]
+    present = request.start.model.structure_name
+    for start in explaining(request.window, [request.start, *typical_starts], settings.noise, settings.law):
         if start is request.start:
             break
-        found = _matched(request, settings, start, start.model.structure.free)
-        if found.accepted:
-            return replace(found, reason=f"{found.reason}; in the structure {of!r}: {first.reason}")
+        match = _matched(request, settings, start, start.model.structure.free)
+        if match.accepted:
+            return replace(match, reason=f"{match.reason}; in the structure {present!r}: {first.reason}")
     if settings.law is None:
         lack = _lacking(request, settings, first)
         return first if lack is None else replace(first, reason=f"{first.reason}; {lack}")

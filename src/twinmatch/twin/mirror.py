@@ -134,8 +134,8 @@ class Mirror:
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
         *lost, sample = self._door.take(sample)
-        for one in lost:
-            self._push(one)
+        for earlier in lost:
+            self._push(earlier)
         return self._push(sample)
 
     def _push(self, sample: Sample) -> MirrorState:
@@ -181,9 +181,9 @@ class Mirror:
 
     def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest as estimated."""
-        kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
-        here = zip(new.model.states, estimated.tolist(), strict=True)
-        return np.array([kept.get(name, there) for name, there in here])
+        present = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
+        estimates = zip(new.model.states, estimated.tolist(), strict=True)
+        return np.array([present.get(name, value) for name, value in estimates])
 
     def _estimate_states(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""
@@ -243,17 +243,21 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
-    disturbances = window.disturbances[SKIPPED:]
-    states = begin_window(parameters, window)
-    driven = simulate_driven(
-        parameters, window.inputs[SKIPPED:], states=states, period=window.period, disturbances=disturbances
-    )
     plant = parameters.model.plant
-    off = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
+    inputs = window.inputs[SKIPPED:]
+    driven = simulate_driven(
+        parameters,
+        inputs,
+        states=begin_window(parameters, window),
+        period=window.period,
+        disturbances=window.disturbances[SKIPPED:],
+    )
+    of_outputs = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
     if law is None:
-        return Residuals(off, float("nan"))
+        return Residuals(of_outputs, float("nan"))
     closed = simulate_window(parameters, window, law=law)
-    return Residuals(off, _worst(window.received(window.inputs[SKIPPED:] - closed.inputs), plant.drives))
+    of_inputs = _worst(window.received(inputs - closed.inputs), plant.drives)
+    return Residuals(of_outputs, of_inputs)
 
 
 def _worst(left: FloatArray, signals: Mapping[str, Output | Drive]) -> float:
@@ -284,11 +288,17 @@ def window_fits(parameters: Parameters, window: Window, law: Law | None) -> Fits
     """Fits of each output and input of the closed-loop twin over a window; without a law of the driven
     twin's outputs."""
     twin = response_on(parameters, window, law)
-    outputs, inputs = (
-        tuple(nrmse(*map(window.received, pair)) for pair in zip(of[SKIPPED:].T, simulated.T, strict=True))
-        for of, simulated in ((window.outputs, twin.outputs), (window.inputs, twin.inputs))
-    )
+    outputs = _fits_of_each(window, window.outputs, twin.outputs)
+    inputs = _fits_of_each(window, window.inputs, twin.inputs)
     return Fits(outputs, inputs if law else (float("nan"),) * len(inputs))
+
+
+def _fits_of_each(window: Window, measured: FloatArray, simulated: FloatArray) -> Signals:
+    """NRMSE of every signal over the samples of a window that were received."""
+    fits = []
+    for y, y_of_twin in zip(measured[SKIPPED:].T, simulated.T, strict=True):
+        fits.append(nrmse(window.received(y), window.received(y_of_twin)))
+    return tuple(fits)
 
 
 def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
@@ -317,15 +327,16 @@ def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
     equations run elsewhere.
     """
     model = parameters.model
-    unknown = unknown_starts(model)
-    if not unknown or model.is_external or len(window) <= SKIPPED + len(unknown):
+    unknowns = unknown_starts(model)
+    if not unknowns or model.is_external or len(window) <= SKIPPED + len(unknowns):
         return {}
-    runs = Experiment(parameters, (), window, free_starts=[u.name for u in unknown], law=None)
-    low, high = np.array([u.bounds for u in unknown]).T
-    scales = np.array([u.scale for u in unknown])
-    begun = np.clip(runs.values_of(parameters), low, high)
-    fit = runs.descend(begun, low, high, scales, _EVALUATIONS)
-    return runs.starts_at(fit.values) if fit.converged else {}
+    names = [unknown.name for unknown in unknowns]
+    experiment = Experiment(parameters, (), window, free_starts=names, law=None)
+    low, high = np.array([unknown.bounds for unknown in unknowns]).T
+    scales = np.array([unknown.scale for unknown in unknowns])
+    start = np.clip(experiment.values_of(parameters), low, high)
+    fit = experiment.descend(start, low, high, scales, _EVALUATIONS)
+    return experiment.starts_at(fit.values) if fit.converged else {}
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

@@ -21,19 +21,20 @@ def unlike(fit: StructureFit, prior: Prior) -> str:
     With prior covariance Σ and that of the fit C, the fit of a plant like the remembered ones lies around the
     prior mean with covariance Σ − C. Only directions count in which the samples have told something.
     """
+    from scipy.special import chdtri  # noqa: PLC0415 — a quarter of a second, seldom needed
+
     parameters = fit.parameters
     free = fit.model.structure.free
     mean, deviation = np.array([prior[name] for name in free]).T
-    away = (np.array([parameters[name] for name in free]) - mean) / deviation
-    left = fit.covariance / np.outer(deviation, deviation)
-    told, directions = np.linalg.eigh(np.eye(len(free)) - (left + left.T) / 2)
-    known = told >= _TOLD
-    from scipy.special import chdtri  # noqa: PLC0415 — a quarter of a second, seldom needed
-
-    surprise = float(np.sum(np.square(directions.T[known] @ away) / told[known]))
-    if not known.any() or surprise <= chdtri(known.sum(), _CHANCE):
+    distance = (np.array([parameters[name] for name in free]) - mean) / deviation
+    open_share = fit.covariance / np.outer(deviation, deviation)
+    learned_share, directions = np.linalg.eigh(np.eye(len(free)) - (open_share + open_share.T) / 2)
+    is_learned = learned_share >= _TOLD
+    along_directions = np.square(directions.T[is_learned] @ distance)
+    surprise = float(np.sum(along_directions / learned_share[is_learned]))
+    if not is_learned.any() or surprise <= chdtri(is_learned.sum(), _CHANCE):
         return ""
-    place = int(np.argmax(np.abs(away)))
+    place = int(np.argmax(np.abs(distance)))
     name = free[place]
     unit = fit.model.declared[name].unit
     is_ = f"{name} is {parameters[name]:.3g} {unit}".rstrip()

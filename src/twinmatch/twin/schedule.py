@@ -77,12 +77,13 @@ class ScheduleSettings:
         pace = plant_scale(plant, period) / period
         factor = max(pace, min(3.0 * pace, 1.0)) * scale
         counts = {}
-        for one in fields(cls):
-            if one.metadata["unit"] == "samples":
-                low = one.metadata["low"]
-                high = one.metadata["high"]
-                counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
-        return cls(scale, min_step=next(iter(plant.outputs.values())).least_step, **counts)
+        for declared in fields(cls):
+            if declared.metadata["unit"] == "samples":
+                count = round(getattr(cls, declared.name) * factor)
+                at_least = max(count, declared.metadata["low"])
+                counts[declared.name] = min(at_least, declared.metadata["high"])
+        first_output = next(iter(plant.outputs.values()))
+        return cls(scale, min_step=first_output.least_step, **counts)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):

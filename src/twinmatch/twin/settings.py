@@ -183,19 +183,23 @@ class TwinSettings:
         Raises:
             TwinError: one is of another plant.
         """
-        remembered = [each for each in given if each.remembered]
+        remembered = [candidate for candidate in given if candidate.remembered]
         if not remembered:
             return self
         prior: dict[str, Prior] = {}
-        for each in remembered:
-            if each.parameters.model.plant is not self.plant:
-                title = each.parameters.model.plant.title
-                own = self.plant.title
-                raise TwinError(f"twin: candidate {each.name} has parameters of {title}; give {own}'s")
-            deviations = np.sqrt(np.diag(each.covariance)).tolist()
-            values = zip(each.free, deviations, strict=True)
-            known = {name: Expectation(each.parameters[name], deviation) for name, deviation in values}
-            prior.setdefault(each.parameters.model.structure_name, known)
+        for candidate in remembered:
+            if candidate.parameters.model.plant is not self.plant:
+                title = candidate.parameters.model.plant.title
+                own_title = self.plant.title
+                raise TwinError(
+                    f"twin: candidate {candidate.name} has parameters of {title}; give {own_title}'s"
+                )
+            deviations = np.sqrt(np.diag(candidate.covariance)).tolist()
+            values = zip(candidate.free, deviations, strict=True)
+            expectations = {
+                name: Expectation(candidate.parameters[name], deviation) for name, deviation in values
+            }
+            prior.setdefault(candidate.parameters.model.structure_name, expectations)
         start = remembered[0].parameters
         usual = self.plant.model()
         if self.start.model is not usual or self.free != usual.structure.free:
@@ -211,7 +215,7 @@ class TwinSettings:
     def units(self) -> Signals:
         """Noise of each output, in units of the first one's: steps and widths are in proportion to it."""
         noise = [y.noise for y in self.plant.outputs.values()]
-        return tuple(each / noise[0] for each in noise)
+        return tuple(deviation / noise[0] for deviation in noise)
 
     @property
     def model_scale(self) -> float | None:
@@ -220,10 +224,10 @@ class TwinSettings:
         return None if self.law is not None else spans_of(self.plant).ratio
 
     def __post_init__(self) -> None:
-        for name, of in (("start", self.start), ("health.reference", self.health.reference)):
-            if of.model.plant is not self.plant:
-                msg = f"twin: {name} has parameters of {of.model.plant.title}; give {self.plant.title}'s"
-                raise TwinError(msg)
+        for name, parameters in (("start", self.start), ("health.reference", self.health.reference)):
+            title = parameters.model.plant.title
+            if parameters.model.plant is not self.plant:
+                raise TwinError(f"twin: {name} has parameters of {title}; give {self.plant.title}'s")
         numbers = np.size(self.noise.outputs), np.size(self.noise.inputs)
         signals = len(self.plant.outputs), len(self.plant.drives)
         if numbers != signals:

@@ -57,19 +57,19 @@ class NewestSamples:
 
     def push(self, window: Window) -> Window:
         """Take one window; return all samples that are kept now."""
-        kept = self.window
-        if kept is None or window.first > kept.last + 1 or window.last < kept.last:
-            kept = window
+        samples = self.window
+        if samples is None or window.first > samples.last + 1 or window.last < samples.last:
+            samples = window
         else:
-            kept = kept.joined(window)
-        self.window = kept.part(max(kept.first, kept.last - self._longest + 1), kept.last)
+            samples = samples.joined(window)
+        self.window = samples.part(max(samples.first, samples.last - self._longest + 1), samples.last)
         return self.window
 
     def cut(self, first: int) -> None:
         """Forget the samples before `first`."""
-        kept = self.window
-        if kept is not None and kept.first < first:
-            self.window = kept.part(first, kept.last) if first <= kept.last else None
+        samples = self.window
+        if samples is not None and samples.first < first:
+            self.window = samples.part(first, samples.last) if first <= samples.last else None
 
 
 class StructureFits:
@@ -125,8 +125,8 @@ class StructureFits:
         new = [model for model in models if model not in self._models]
         self._models = tuple(dict.fromkeys((*self._models, *new)))
         # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
-        own = [model for model in self._models if not model.is_external] or self._models
-        self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
+        local = [model for model in self._models if not model.is_external] or self._models
+        self._richest = max(reversed(local), key=lambda model: model.structure.n_parameters())
         if self._fitted.window is not None:
             self._compete(new, self._fitted.window)
 
@@ -193,9 +193,9 @@ class StructureFits:
         Each fit starts from the previous one, so that undetermined parameters keep their values.
         """
         newest = self._compared.window
-        found = None if newest is None else self._fit(self._richest, newest, self._now)
-        self._now = found or self._now
-        return found.parameters if found else None
+        fit = None if newest is None else self._fit(self._richest, newest, self._now)
+        self._now = fit or self._now
+        return fit.parameters if fit else None
 
     def cut(self, first: int) -> None:
         """Fit candidates to no sample before `first`, where the plant changed; fits stay until replaced."""
@@ -204,8 +204,8 @@ class StructureFits:
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Forget fits to samples that overlap `first` to `last`, a fault; return the candidates' names."""
         self._now = None
-        kept = self._fitted.window
-        if kept is not None and kept.last >= first:
+        fitted = self._fitted.window
+        if fitted is not None and fitted.last >= first:
             self._fitted.window = None
         spans = {name: candidate.samples for name, (candidate, _) in self._fits.items()}
         gone = tuple(name for name, span in spans.items() if span[1] >= first and span[0] <= last)

@@ -89,10 +89,10 @@ class StructureChoice:
         Raises:
             KeyError: it was not tried.
         """
-        found = next((s for s in self.scores if s.name == name), None)
-        if found is None:
+        score = next((s for s in self.scores if s.name == name), None)
+        if score is None:
             raise KeyError(name)
-        return found
+        return score
 
     @property
     def sentence(self) -> str:
@@ -102,9 +102,9 @@ class StructureChoice:
         of_u = "" if math.isnan(u) else f", {100 * u:.1f} % of u"
         text = f"free runs on samples held back choose: {self.chosen} (off by {best.off:.3g} × noise, "
         text += f"{best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
-        others = [s for s in self.scores if s.name != self.chosen]
-        if others:
-            second = min(others, key=lambda s: s.off)
+        rivals = [s for s in self.scores if s.name != self.chosen]
+        if rivals:
+            second = min(rivals, key=lambda s: s.off)
             text += f"; {second.name} is off by {second.off:.3g} × noise"
         return text
 

@@ -14,14 +14,14 @@ __all__ = ["tried_twins"]
 def tried_twins(snapshot: Snapshot) -> tuple[TriedTwin, ...]:
     """All candidates of a snapshot, each with what it leaves open, in their states at the sample after it."""
     members = []
-    for name, known in snapshot.outlooks.items():
-        n = known.states.size
-        sample = known.sample
+    for name, outlook in snapshot.outlooks.items():
+        n = outlook.states.size
+        sample = outlook.sample
         row = np.array(sample.disturbances) if sample.disturbances else None
-        after = advance(known.parameters, known.states, sample.inputs, known.period, row)
-        covariance = known.covariance[n:, n:]
+        after = advance(outlook.parameters, outlook.states, sample.inputs, outlook.period, row)
+        covariance = outlook.covariance[n:, n:]
         inputs = np.array(sample.inputs)
         members.append(
-            TriedTwin(name, known.parameters, known.unsure, covariance, after, inputs, disturbances=row)
+            TriedTwin(name, outlook.parameters, outlook.unsure, covariance, after, inputs, disturbances=row)
         )
     return tuple(members)

@@ -58,24 +58,31 @@ def check_band(
 
     Only those that are `counted` are compared; None: all.
     """
-
-    def misses(values: FloatArray, bands: Sequence[Band]) -> list[tuple[float, float]]:
-        return [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
-
-    of_outputs = misses(outputs, forecast.outputs)
-    of_inputs = [] if inputs is None else misses(inputs, forecast.inputs)
+    of_outputs = _misses_of_each(outputs, forecast.outputs, counted)
+    of_inputs = [] if inputs is None else _misses_of_each(inputs, forecast.inputs, counted)
     miss_y, inside_y = _worst(of_outputs)
     miss_u, inside_u = _worst(of_inputs)
+    y = outputs[0]
     band = forecast.outputs[0]
-    size = outputs.shape[1]
-    known = np.ones(size, dtype=np.bool_) if counted is None else counted
-    held = known & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
-    came = outputs[0, held if held.any() else known]
-    low = float(came.min())
-    high = float(came.max())
-    last = float(came[-1])
-    each = (*of_outputs, *of_inputs)
-    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last, each)
+    is_counted = np.ones(y.size, dtype=np.bool_) if counted is None else counted
+    is_inside = is_counted & (band.low[-y.size :] <= y) & (y <= band.high[-y.size :])
+    levels = y[is_inside if is_inside.any() else is_counted]  # without spikes
+    return BandCheck(
+        miss_y=miss_y,
+        inside_y=inside_y,
+        miss_u=miss_u,
+        inside_u=inside_u,
+        low=float(levels.min()),
+        high=float(levels.max()),
+        last=float(levels[-1]),
+        each=(*of_outputs, *of_inputs),
+    )
+
+
+def _misses_of_each(
+    values: FloatArray, bands: Sequence[Band], counted: BoolArray | None
+) -> list[tuple[float, float]]:
+    return [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
 
 
 def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -87,13 +94,15 @@ def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[float, float]:
     """RMS of one signal's last samples in half widths of its band, and their share within it."""
-    parts = (values, *(part[-values.size :] for part in (band.mean, band.low, band.high)))
-    came, mean, low, high = parts if counted is None else (part[counted] for part in parts)
+    size = values.size
+    rows = np.array([values, band.mean[-size:], band.low[-size:], band.high[-size:]])
+    came, mean, low, high = rows if counted is None else rows[:, counted]
     half = np.where(came > mean, high - mean, mean - low)
     # At a limit of the controller a band has one side only.
     half = np.maximum(half, 0.5 * (high - low))
     miss = float(rms(came - mean, half))
-    return miss, float(np.mean((low <= came) & (came <= high)))
+    share_inside = float(np.mean((low <= came) & (came <= high)))
+    return miss, share_inside
 
 
 class BandHistory:
@@ -138,13 +147,13 @@ class BandHistory:
 
 def merged(spans: Sequence[tuple[float, float]], near: float = 0.0) -> list[tuple[float, float]]:
     """Join ranges that overlap or lie within `near` of each other; lowest first."""
-    found: list[tuple[float, float]] = []
+    joined: list[tuple[float, float]] = []
     for low, high in sorted(spans):
-        if found and low <= found[-1][1] + near:
-            found[-1] = found[-1][0], max(found[-1][1], high)
+        if joined and low <= joined[-1][1] + near:
+            joined[-1] = joined[-1][0], max(joined[-1][1], high)
         else:
-            found.append((low, high))
-    return found
+            joined.append((low, high))
+    return joined
 
 
 class LeaderConfidence:
