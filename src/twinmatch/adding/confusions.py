@@ -29,7 +29,7 @@ from twinmatch.signals import FloatArray
 
 
 @dataclass(frozen=True)
-class _Course:
+class _FaultCourse:
     """The course of a trial, in s of a plant as fast as the rig."""
 
     before: float = 600.0
@@ -42,7 +42,7 @@ class _Course:
     """Time between two steps of a drive, as a share of that of the one before."""
 
 
-_COURSE: Final = _Course()
+_COURSE: Final = _FaultCourse()
 
 
 _RIG: Final = int(np.flatnonzero(LEVELS == 1.0)[0])

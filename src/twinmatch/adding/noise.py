@@ -40,7 +40,7 @@ _ANSWERS: Final = _Answers()
 
 
 @dataclass(frozen=True)
-class _Blocks:
+class _DifferenceBlocks:
     """Blocks of second differences, whose mean squares show where the signal is quiet."""
 
     size: int = 20
@@ -57,7 +57,7 @@ class _Blocks:
     """Blocks count up to so many medians: noise may depend on the level, a movement is larger."""
 
 
-_BLOCKS: Final = _Blocks()
+_BLOCKS: Final = _DifferenceBlocks()
 
 
 @dataclass(frozen=True)

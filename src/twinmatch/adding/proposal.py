@@ -31,7 +31,7 @@ _SPIKE: Final = 10.0
 
 
 @dataclass(frozen=True)
-class _Blocks:
+class _ModelBlocks:
     """Blocks of samples from which a model is estimated."""
 
     fewest: int = 20
@@ -40,7 +40,7 @@ class _Blocks:
     """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 
 
-_BLOCKS: Final = _Blocks()
+_BLOCKS: Final = _ModelBlocks()
 
 
 _MOST: Final = 1e100

@@ -51,7 +51,7 @@ SAMPLES: Final = 400
 
 
 @dataclass(frozen=True)
-class _Course:
+class _TrialCourse:
     """The course of the simulated experiment."""
 
     per_lag: float = 20.0
@@ -62,7 +62,7 @@ class _Course:
     """Of the inputs."""
 
 
-_COURSE: Final = _Course()
+_COURSE: Final = _TrialCourse()
 
 
 class Trial(NamedTuple):
@@ -177,7 +177,7 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _CombinationSearch:
     """Where combinations of parameters without effect are looked for, and what counts as one."""
 
     points: int = 4
@@ -191,7 +191,7 @@ class _Search:
     """Parameters with a smaller share in a combination are not listed."""
 
 
-_SEARCH: Final = _Search()
+_SEARCH: Final = _CombinationSearch()
 
 
 class _Combination(NamedTuple):
