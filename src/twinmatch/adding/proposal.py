@@ -124,7 +124,7 @@ def propose(table: Table, signal_map: SignalMap) -> Proposal:
 
     Args:
         table: the table.
-        given: columns of time, output and input; every other name is a disturbance.
+        signal_map: columns of time, output and input; every other name is a disturbance.
     """
     require_columns(table, signal_map)
     sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
