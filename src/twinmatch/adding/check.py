@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
 
@@ -62,18 +63,31 @@ def check_plant(
 
 def _once(findings: Iterable[Finding], title: str) -> Iterator[Finding]:
     """Findings that several structures share, once: their numbers are those of the first."""
-    shared: dict[str, dict[str, Finding]] = {}
-    for one in findings:
-        of = _OF_STRUCTURE.match(one.what)
-        place, rest = (of[1], one.what[of.end() :]) if of else ("", one.what)
-        key = _NUMBER.split(rest)[0] if of or rest.startswith(f"{title}:") else rest
-        shared.setdefault(key, {}).setdefault(place, one._replace(what=rest))
-    for by_structure in shared.values():
-        *others, last = by_structure
-        of_one = f"structure {last}: " if last else ""
-        names = f"structures {', '.join(others)} and {last}: " if others else of_one
-        (what, todo), *_ = by_structure.values()
-        yield Finding(f"{names}{what}", todo)
+    by_message: dict[str, dict[str, Finding]] = {}
+    for finding in findings:
+        structure, message = _structure_and_message(finding)
+        has_numbers_of_structure = structure or message.startswith(f"{title}:")
+        key = _NUMBER.split(message)[0] if has_numbers_of_structure else message
+        by_message.setdefault(key, {}).setdefault(structure, finding._replace(what=message))
+    for by_structure in by_message.values():
+        message, todo = next(iter(by_structure.values()))
+        yield Finding(f"{_structures_in_words(list(by_structure))}{message}", todo)
+
+
+def _structure_and_message(finding: Finding) -> tuple[str, str]:
+    """The quoted name of the structure that a finding begins with, empty without one, and what follows it."""
+    begins_with_structure = _OF_STRUCTURE.match(finding.what)
+    if begins_with_structure is None:
+        return "", finding.what
+    return begins_with_structure[1], finding.what[begins_with_structure.end() :]
+
+
+def _structures_in_words(names: list[str]) -> str:
+    """The beginning of a finding of these structures."""
+    *first_names, last = names
+    if first_names:
+        return f"structures {', '.join(first_names)} and {last}: "
+    return f"structure {last}: " if last else ""
 
 
 def _steps(
@@ -115,12 +129,12 @@ def _unused(plant: type[Plant]) -> Iterator[Finding]:
     models: list[Model] = [plant.model(name) for name in plant.structures]
     used = {name for model in models for name in (*model.declared, *model.states)}
     parts = {part for structure in plant.structures.values() for part in structure.parts}
-    for what, todo, declared, known in (
+    for message, todo, declared, in_use in (
         ("parameter {}: no structure depends on it", "use it in the equations", plant.parameters, used),
         ("state {}: no structure gives it a rate", "give it a rate and a start", plant.states, used),
         ("part {!r}: no structure has it", "add a structure with it", plant.parts, parts),
     ):
-        yield from (Finding(what.format(n), f"remove it, or {todo}") for n in declared if n not in known)
+        yield from (Finding(message.format(n), f"remove it, or {todo}") for n in declared if n not in in_use)
 
 
 def unreached(plant: type[Plant]) -> Iterator[Finding]:
@@ -129,15 +143,15 @@ def unreached(plant: type[Plant]) -> Iterator[Finding]:
     for name, written in equations.items():
         place = f"structure {name!r}"
         outputs = list(outputs_of(plant(), written).values())
-        seen = _acting(written, outputs)
-        used = _names([*outputs, *(rate for state, rate in written.rates.items() if str(state) in seen)])
+        acting = _acting(written, outputs)
+        used = _names([*outputs, *(rate for state, rate in written.rates.items() if str(state) in acting)])
         for drive in plant.drives:
             if drive not in used:
-                what = f"{place}: the drive {drive} does not act on the output"
-                yield Finding(what, f"use self.{drive} in the rate of a state that the output depends on")
-        for state in (str(state) for state in written.rates if str(state) not in seen):
-            what = f"{place}: state {state} does not act on the output, so no recording can show it"
-            yield Finding(what, "remove it, or use it in the output or in another rate")
+                problem = f"{place}: the drive {drive} does not act on the output"
+                yield Finding(problem, f"use self.{drive} in the rate of a state that the output depends on")
+        for state in (str(state) for state in written.rates if str(state) not in acting):
+            problem = f"{place}: state {state} does not act on the output, so no recording can show it"
+            yield Finding(problem, "remove it, or use it in the output or in another rate")
     yield from _same(plant, equations)
 
 
@@ -152,43 +166,57 @@ def idle_disturbances(plant: type[Plant]) -> list[str]:
 
 def _equations(plant: type[Plant]) -> dict[str, Equations]:
     """By structure; FMUs have none here."""
-    own = {name: held.parts for name, held in plant.structures.items() if held.external is None}
-    return {name: written_equations(plant(), parts) for name, parts in own.items()}
+    return {
+        name: written_equations(plant(), structure.parts)
+        for name, structure in plant.structures.items()
+        if structure.external is None
+    }
 
 
 def _acting(written: Equations, outputs: list[Any]) -> set[str]:
     """States that act on an output, at once or through others."""
     states = {str(state): rate for state, rate in written.rates.items()}
-    seen = _names(outputs) & set(states)
-    while more := (_names(states[name] for name in seen) & set(states)) - seen:
-        seen |= more
-    return seen
+    acting = _names(outputs) & set(states)
+    while reached := (_names(states[name] for name in acting) & set(states)) - acting:
+        acting |= reached
+    return acting
 
 
 def _same(plant: type[Plant], equations: dict[str, Equations]) -> Iterator[Finding]:
     """Structures with other parts but the same equations."""
-    for (other, before), (name, one) in combinations(equations.items(), 2):
-        parts = plant.structures[name].parts ^ plant.structures[other].parts
-        if parts and (one.rates, one.output, one.start) == (before.rates, before.output, before.start):
+    for first, second in combinations(equations, 2):
+        parts = plant.structures[second].parts ^ plant.structures[first].parts
+        if parts and _are_same(equations[first], equations[second]):
             listed = " and ".join(sorted(parts))
-            what = f"structures {other!r} and {name!r} have the same equations: {listed} changes nothing"
-            yield Finding(what, "use the part in `equations`, or remove one of the structures")
+            problem = f"structures {first!r} and {second!r} have the same equations: {listed} changes nothing"
+            yield Finding(problem, "use the part in `equations`, or remove one of the structures")
+
+
+def _are_same(first: Equations, second: Equations) -> bool:
+    return (first.rates, first.output, first.start) == (second.rates, second.output, second.start)
 
 
 def _names(expressions: Iterable[Any]) -> set[str]:
     return {str(s) for e in expressions for s in getattr(e, "free_symbols", ())}
 
 
-_POINTS: Final = 24
-_SLOW_STEPS: Final = 40
-"""With more steps per sample a plant is slow to simulate: a hundred windows of a thousand samples take a
-minute …"""
-_MANY_STEPS: Final = 400
-"""… and ten here, too long beside a running plant."""
-_MANY_SAMPLES: Final = 1e5
-"""A time constant of more sampling periods needs recordings that are too long to be matched."""
-_GROWS: Final = 1e-6
-"""Growth rates below this share of the plant's fastest rate are rounding."""
+@dataclass(frozen=True)
+class _Simulation:
+    """How a plant is tried, and how slow its simulation may be."""
+
+    points: int = 24
+    """Points within the bounds of the parameters at which it is tried."""
+    slow: int = 40
+    """Steps per sample from which fits are slow: a hundred windows of a thousand samples take a minute."""
+    too_slow: int = 400
+    """Steps per sample from which those windows take ten minutes, too long beside a running plant."""
+    most_samples: float = 1e5
+    """A time constant of more sampling periods needs recordings that are too long to be matched."""
+    growth: float = 1e-6
+    """Growth rates below this share of the plant's fastest rate are rounding."""
+
+
+_SIMULATION: Final = _Simulation()
 
 
 def coarse(plant: type[Plant]) -> Iterator[Finding]:
@@ -199,8 +227,8 @@ def coarse(plant: type[Plant]) -> Iterator[Finding]:
             step = (
                 f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
             )
-            what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
-            yield Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")
+            problem = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
+            yield Finding(problem, "correct `noise`, the scatter of a reading at rest, or `span`")
 
 
 def misdeclared(model: Model) -> Iterator[Finding]:
@@ -210,8 +238,8 @@ def misdeclared(model: Model) -> Iterator[Finding]:
         low, high = model.declared[name].bounds
         value = model.defaults[name]
         if not low <= value <= high:
-            what = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
-            yield Finding(what, "widen the bounds, or correct the default (or `fixed`)")
+            problem = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
+            yield Finding(problem, "widen the bounds, or correct the default (or `fixed`)")
 
 
 def ranges(model: Model) -> Iterator[Finding]:
@@ -223,15 +251,15 @@ def ranges(model: Model) -> Iterator[Finding]:
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
     states = begin(parameters, trial.outputs, input=trial.inputs[0])
-    _, by_state, _, _, seen, _, _ = model.kernels.slopes_at(
+    _, by_state, _, _, output_by_state, _, _ = model.kernels.slopes_at(
         parameters.vector, states, trial.inputs[0], model.disturbances
     )
     integrates = ~by_state.any(axis=0)
     outputs = model.plant.outputs
-    for y, values, by in zip(outputs.values(), run.outputs.T, seen, strict=True):
+    for y, values, by_state_of_output in zip(outputs.values(), run.outputs.T, output_by_state, strict=True):
         low = float(values.min())
         high = float(values.max())
-        if (low < y.span[0] or high > y.span[1]) and not by[integrates].any():
+        if (low < y.span[0] or high > y.span[1]) and not by_state_of_output[integrates].any():
             name = f"the output {y.name}" if len(outputs) > 1 else "the output"
             yield Finding(
                 f"{model.title}: with the defaults, over the drive's range, {name} goes from {low:.4g} to "
@@ -271,20 +299,20 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     except PlantError as error:
         todo = "replace the fast state by its steady-state value, or sample faster"
         return [*faults, Finding(f"{place}: {str(error).partition(': ')[2]}", todo)], notes
-    what = (
+    problem = (
         f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
         f"is {lags[0]:.3g} s"
     )
-    if steps > _MANY_STEPS:
+    if steps > _SIMULATION.too_slow:
         todo = "replace the fast state by its steady-state value, or narrow the spans of the states"
-        faults.append(Finding(what, todo))
-    elif steps > _SLOW_STEPS:
-        notes.append(f"{what}: fits are slow")
+        faults.append(Finding(problem, todo))
+    elif steps > _SIMULATION.slow:
+        notes.append(f"{problem}: fits are slow")
     slowest = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is"
     if lags[-1] < period:
         todo = "sample faster, or check the units of the parameters (s, not min)"
         faults.append(Finding(f"{slowest} below the period of {period:g} s", todo))
-    if lags[-1] > _MANY_SAMPLES * period:
+    if lags[-1] > _SIMULATION.most_samples * period:
         many = f"{lags[-1] / period:.2g} periods of {period:g} s: no window can show it"
         faults.append(
             Finding(f"{slowest} {many}", "sample less often, hold that state, or check units (s, not h)")
@@ -296,9 +324,9 @@ def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
     """Modes that grow by themselves in the middle of the plant's range."""
     poles = modes(parameters)
     growth = float(poles.real.max(initial=0.0))
-    if growth > _GROWS * float(np.abs(poles).max(initial=0.0)):
-        what = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
-        yield Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
+    if growth > _SIMULATION.growth * float(np.abs(poles).max(initial=0.0)):
+        problem = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
+        yield Finding(problem, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
 
 
 def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
@@ -314,24 +342,25 @@ def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
     except PlantError:
         return
     bad: list[str] = []
-    for row in qmc.Halton(len(free), seed=5).random(_POINTS):
+    for row in qmc.Halton(len(free), seed=5).random(_SIMULATION.points):
         values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
         try:
             point = model.parameters(**values)
-            own = trial.period if period else affordable(point, trial.period)
-            run, _ = run_trial(point, trial._replace(period=own))
+            trial_period = trial.period if period else affordable(point, trial.period)
+            run, _ = run_trial(point, trial._replace(period=trial_period))
         except PlantError as error:
             bad.append(f"{where}: {str(error).removeprefix(f'{model.title}: ')}")
             continue
         spans = [np.ptp(y.span) for y in model.plant.outputs.values()]
-        most = float(np.abs(run.outputs).max())
+        largest = float(np.abs(run.outputs).max())
         if (np.abs(run.outputs).max(axis=0) > 1e4 * np.array(spans)).any():
-            bad.append(f"{where}: its output diverges to {most:.2g}")
+            bad.append(f"{where}: its output diverges to {largest:.2g}")
     if bad:
-        what = f"structure {model.structure_name!r}: cannot be simulated at {len(bad)} of {_POINTS} points"
+        share = f"{len(bad)} of {_SIMULATION.points} points"
+        problem = f"structure {model.structure_name!r}: cannot be simulated at {share}"
         todo = "narrow the bounds to values that are physically possible"
-        yield Finding(f"{what} within the bounds, such as {bad[0]}", todo)
+        yield Finding(f"{problem} within the bounds, such as {bad[0]}", todo)
 
 
 def _within(model: Model, name: str, part: float) -> float:

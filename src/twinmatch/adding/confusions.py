@@ -10,6 +10,7 @@ beside a running plant.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -26,15 +27,24 @@ from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.mixture import LEVELS
 from twinmatch.signals import FloatArray
 
-_BEFORE: Final = 600.0
-"""Time for which the plant is seen before a fault, so that its parameters may be said to have changed, s of a
-plant as fast as the rig …"""
-_AFTER: Final = 480.0
-"""… after it: then the bank forgets when something began …"""
-_HOLDS: Final = 100.0
-"""… and time between two steps of the first drive."""
-_QUICKER: Final = 0.7
-"""Time between two steps of a drive, as a share of that of the one before."""
+
+@dataclass(frozen=True)
+class _FaultCourse:
+    """The course of a trial, in s of a plant as fast as the rig."""
+
+    before: float = 600.0
+    """The plant is seen for so long before a fault that its parameters may be said to have changed."""
+    after: float = 480.0
+    """The fault lasts for so long; then the bank forgets when something began."""
+    hold: float = 100.0
+    """Time between two steps of the first drive."""
+    quicker: float = 0.7
+    """Time between two steps of a drive, as a share of that of the one before."""
+
+
+_COURSE: Final = _FaultCourse()
+
+
 _RIG: Final = int(np.flatnonzero(LEVELS == 1.0)[0])
 """Place of the model error of a real rig."""
 _WAYS: Final = {False: "even under large steps (a sample every {:g} s)", True: "if they come slowly"}
@@ -61,19 +71,30 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
         return []
     period = max(period or 0.0, usual_scale(plant))
     try:
-        faults = FaultTrial(model.typical(), period)
-        found = [(row, faults.rivals(row)) for row in faults.rows]
+        trial = FaultTrial(model.typical(), period)
+        rivals = [(fault, trial.rivals(fault)) for fault in trial.rows]
     except PlantError:  # the other checks report it
         return []
-    said = []
+    sentences = []
     for slowly, way in _WAYS.items():
-        mine = [(row, rivals or []) for row, rivals in found if bool(row.slowly) == slowly]
-        pairs = [sorted(faults.called[number] for number in (row.number, r)) for row, of in mine for r in of]
-        listed = "; ".join(dict.fromkeys(map(" and ".join, pairs)))
-        said += [f"faults that cannot be told apart, {way.format(period)}: {listed}"] if pairs else []
-    unseen = ", ".join(faults.called[r.number] for r, rivals in found if rivals is None and not r.slowly)
-    said += [f"faults too small to show beside such steps, at their usual size: {unseen}"] if unseen else []
-    return said
+        pairs = [
+            " and ".join(sorted((trial.called[fault.number], trial.called[rival])))
+            for fault, rivals_of_fault in rivals
+            if bool(fault.slowly) == slowly
+            for rival in rivals_of_fault or []
+        ]
+        if pairs:
+            listed = "; ".join(dict.fromkeys(pairs))
+            sentences.append(f"faults that cannot be told apart, {way.format(period)}: {listed}")
+    too_small = [
+        trial.called[fault.number]
+        for fault, rivals_of_fault in rivals
+        if rivals_of_fault is None and not fault.slowly
+    ]
+    if too_small:
+        listed = ", ".join(too_small)
+        sentences.append(f"faults too small to show beside such steps, at their usual size: {listed}")
+    return sentences
 
 
 class FaultTrial:
@@ -94,18 +115,12 @@ class FaultTrial:
         named = [row for row in self._competition.rows if row.cause[0] not in _NOT_NAMED]
         self.called = {row.number: words.called(row.cause) for row in named}
         """The numbers that may change, in words."""
-        least = {}
-        for row in sorted(named, key=lambda row: -abs(size_of(row))):
-            drive, sensor = (row.number.startswith(kind) for kind in ("share", "offset"))
-            # A drive that does more has no name; other numbers creep for longer than a change is followed.
-            if (size_of(row) < 0.0 or not drive) and (drive or sensor or not row.slowly):
-                least[row.number, bool(row.slowly)] = row
-        self.rows = list(least.values())
+        self.rows = _least_of_each_number(named)
         """The faults: of each number the one of the least usual size."""
         pace = min(self._competition.second, 1.0)
-        before = round(_BEFORE * pace)
-        after = round(_AFTER * pace)
-        inputs = _steps(parameters, before + after, _HOLDS * pace)
+        before = round(_COURSE.before * pace)
+        after = round(_COURSE.after * pace)
+        inputs = _steps(parameters, before + after, _COURSE.hold * pace)
         states = begin(parameters, middle_of(model), input=inputs[0])
         run = simulate_driven(parameters, inputs[:before], states=states, period=period)
         shown = model.kernels.slopes_at(parameters.vector, states, inputs[0], model.disturbances)[6]
@@ -129,12 +144,16 @@ class FaultTrial:
         saved = self._follow(members, traces, self.readings(fault), self.inputs[len(self.healthy) :])
         saved += np.log(table.mass)
         numbers = np.array(["" if row.cause[0] in _NOT_NAMED else row.number for row in rows])
-        by_number = {name: saved[:, numbers == name].max(axis=1) for name in self.called}
-        own = by_number.pop(fault.number)
-        reported = own >= CHANGE
+        savings_by_number = {name: saved[:, numbers == name].max(axis=1) for name in self.called}
+        savings_of_fault = savings_by_number.pop(fault.number)
+        reported = savings_of_fault >= CHANGE
         if not reported.any():
             return None
-        return [name for name, its in by_number.items() if (own - its)[reported].max() < _APART]
+        return [
+            name
+            for name, savings in savings_by_number.items()
+            if (savings_of_fault - savings)[reported].max() < _APART
+        ]
 
     def readings(self, fault: ChangeRow) -> FloatArray:
         """What is read from its beginning on, without noise, shape (N, o)."""
@@ -144,13 +163,13 @@ class FaultTrial:
         model = parameters.model
         healthy = self._competition.healthy
         time = np.arange(len(inputs)) * self._period / healthy.scale
-        now = size * (time / fault.slowly if fault.slowly else np.ones_like(time))
+        change = size * (time / fault.slowly if fault.slowly else np.ones_like(time))
         offsets = np.zeros((len(inputs), model.noise.size))
         kind, _, place = fault.number.partition(" ")
         if kind == "share":
-            inputs[:, int(place)] += (inputs[:, int(place)] - model.rest[int(place)]) * now
+            inputs[:, int(place)] += (inputs[:, int(place)] - model.rest[int(place)]) * change
         elif kind == "offset":
-            offsets[:, int(place)] = now
+            offsets[:, int(place)] = change
         else:
             logged = healthy.fixed.free.logged[model.structure.free.index(kind)]
             value = parameters[kind] * math.exp(size) if logged else parameters[kind] + size
@@ -165,17 +184,35 @@ class FaultTrial:
         model = self.parameters.model
         table = self._competition.table
         noise = model.noise
-        no = np.zeros(model.noise.size)
+        zeros = np.zeros(model.noise.size)
         saved = []
-        seen = no == 0.0
+        is_read = zeros == 0.0
         for k, (y, u) in enumerate(zip(ys, us, strict=False)):
             # What has no noise has no last digit either.
-            given = Reading(y, seen, no, noise, 1e-3 * noise, no, healthy.acting(u), model.disturbances)
-            step(model.kernels.code, healthy.fixed, members, traces, table, 1, given, k)
+            reading = Reading(
+                y, is_read, zeros, noise, 1e-3 * noise, zeros, healthy.acting(u), model.disturbances
+            )
+            step(model.kernels.code, healthy.fixed, members, traces, table, 1, reading, k)
             saved.append(traces.now - members.gained.sum())
         if not members.alive.all():
             raise PlantError(f"{model.title}: its filter is not finite")
         return np.cumsum(saved, axis=0)
+
+
+def _least_of_each_number(rows: list[ChangeRow]) -> list[ChangeRow]:
+    """The rows of the least usual size: of each number that comes at once, and of each that comes slowly."""
+    least = {}
+    for row in sorted(rows, key=lambda row: -abs(size_of(row))):
+        if _is_tried(row):
+            least[row.number, bool(row.slowly)] = row
+    return list(least.values())
+
+
+def _is_tried(row: ChangeRow) -> bool:
+    """A drive that does more has no name; other numbers creep for longer than a change is followed."""
+    if row.number.startswith("share"):
+        return size_of(row) < 0.0
+    return row.number.startswith("offset") or not row.slowly
 
 
 def size_of(fault: ChangeRow) -> float:
@@ -190,5 +227,6 @@ def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:
     columns = []
     for j, drive in enumerate(parameters.model.plant.drives.values()):
         low, high = drive.limits
-        columns.append(low + (high - low) * np.where(k // max(round(holds * _QUICKER**j), 1) % 2, 0.9, 0.1))
+        samples_held = max(round(holds * _COURSE.quicker**j), 1)
+        columns.append(low + (high - low) * np.where(k // samples_held % 2, 0.9, 0.1))
     return np.array(columns).T

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -35,14 +36,25 @@ from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 
-_SMALL: Final = 3.0
-"""Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
-_LARGE: Final = 100.0
-"""Noise that is declared larger by more than this factor is a finding; less is a choice of what counts."""
-_UNEXPLAINED: Final = 4.0
-"""Residuals of the whole recording, in units of the noise, above which a larger noise is suggested."""
-_PART: Final = 3.0
-"""What is left is suggested to be so many times the noise: the gate then accepts up to twice as much."""
+
+@dataclass(frozen=True)
+class _NoiseRule:
+    """How far a declared noise may be from what a recording shows."""
+
+    small: float = 3.0
+    """Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
+    large: float = 100.0
+    """Noise that is declared larger by more than this factor is a finding; less is a choice of what
+    counts."""
+    unexplained: float = 4.0
+    """Residuals of the whole recording, in units of the noise, above which a larger noise is suggested."""
+    part: float = 3.0
+    """What is left is suggested to be so many times the noise: the gate then accepts up to twice as much."""
+
+
+_NOISE_RULE: Final = _NoiseRule()
+
+
 _TODO: Final = {
     Status.NO_EXCITATION: "record steps of the input (or the set-point) that move the output far "
     "above its noise",
@@ -63,7 +75,7 @@ _FAULTY: Final = (
 def data_for(
     path: Path,
     plant: type[Plant],
-    given: SignalMap,
+    signal_map: SignalMap,
     period: float | None = None,
     progress: ProgressCallback | None = None,
 ) -> Session:
@@ -72,11 +84,11 @@ def data_for(
 
     `progress` is called with how much has been read, and of how much.
     """
-    if path.suffix.lower() in {".csv", ".txt", ".tsv"} or given.sources:
+    if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
         table = read_table(path, progress)
-        whole = with_plant_names(table, plant, given)
-        whole = whole if TIME in whole.sources else whole.joined(SignalMap(period=period))
-        imported = map_samples(table, whole, plant)
+        full_map = with_plant_names(table, plant, signal_map)
+        full_map = full_map if TIME in full_map.sources else full_map.joined(SignalMap(period=period))
+        imported = map_samples(table, full_map, plant)
         return session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
     return open_any(path, plant=plant.name, progress=progress)
 
@@ -135,33 +147,39 @@ def _of_samples(
     )
     notes = [*session.missing]
     notes += [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
-    left = dict(zip(outputs, least, strict=False))
+    residuals = dict(zip(outputs, least, strict=False))
     for name, noise in measured.items():
         declared = outputs[name].noise
-        of = f" {name}" if len(outputs) > 1 else ""
-        if noise > declared * _SMALL or declared > _LARGE * max(noise, left.get(name, 0.0) / _PART):
-            what = f"the noise of the output{of} is declared as {declared:g}, but measured as {noise:g}"
-            findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
-        if _SMALL * noise < declared <= _LARGE * noise:
+        of_output = f" {name}" if len(outputs) > 1 else ""
+        largest_explained = max(noise, residuals.get(name, 0.0) / _NOISE_RULE.part)
+        if noise > declared * _NOISE_RULE.small or declared > _NOISE_RULE.large * largest_explained:
+            problem = (
+                f"the noise of the output{of_output} is declared as {declared:g}, but measured as {noise:g}"
+            )
+            findings.append(Finding(problem, "correct `noise`: every judgement of the fit depends on it"))
+        if _NOISE_RULE.small * noise < declared <= _NOISE_RULE.large * noise:
             ratio = f"{declared / noise:.2g} times the measured one"
-            notes.append(f"errors{of and f' of{of}'} count in units of the declared noise, {ratio}")
+            errors = f"errors of{of_output}" if of_output else "errors"
+            notes.append(f"{errors} count in units of the declared noise, {ratio}")
     lags = time_constants(parameters)
     if lags.size and size * session.period < 2 * lags[-1]:
-        what = f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
+        problem = (
+            f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
+        )
         todo = f"record at least {2 * lags[-1]:.3g} s, or check the default of that parameter"
-        findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
+        findings.append(Finding(f"{problem} ({lags[-1]:.3g} s)", todo))
     return findings, notes
 
 
 def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[Finding]:
     """Advice for equations that no measurement noise explains, but that may be good enough."""
-    for output, left in zip(plant.outputs.values(), least, strict=False):
-        if left > _UNEXPLAINED * output.noise:
-            of = f" of {output.name}" if len(plant.outputs) > 1 else ""
-            size = f"{left:.2g} {output.unit}".rstrip()
-            noise = float(f"{left / _PART:.1g}")
+    for output, residual in zip(plant.outputs.values(), least, strict=False):
+        if residual > _NOISE_RULE.unexplained * output.noise:
+            of_output = f" of {output.name}" if len(plant.outputs) > 1 else ""
+            size = f"{residual:.2g} {output.unit}".rstrip()
+            noise = float(f"{residual / _NOISE_RULE.part:.1g}")
             yield Finding(
-                f"over the whole recording, the best of the structures leaves {size}{of}",
+                f"over the whole recording, the best of the structures leaves {size}{of_output}",
                 f"if errors of that size are good enough for you, declare noise={noise:g}: errors of fits "
                 "and forecasts are judged in units of the noise",
             )
@@ -173,24 +191,24 @@ def _of_matches(
     least = settings.schedule.min_span
     period = settings.period
     if not matches and faults:
-        what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
-        yield Finding(what, _FAULTY)
+        problem = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
+        yield Finding(problem, _FAULTY)
     elif not matches and size <= least:
-        what = f"no window could be matched: the recording lasts {size * period:g} s"
+        problem = f"no window could be matched: the recording lasts {size * period:g} s"
         yield Finding(
-            what, f"record at least {2 * least * period:g} s, with steps of the input that stand out"
+            problem, f"record at least {2 * least * period:g} s, with steps of the input that stand out"
         )
     elif not matches:
-        what = (
+        problem = (
             "no window could be matched: the signals did not move far enough, or not for long enough "
             f"({least * period:g} s without a gap, from one step to the next)"
         )
-        yield Finding(what, _TODO[Status.NO_EXCITATION])
+        yield Finding(problem, _TODO[Status.NO_EXCITATION])
     elif not any(report.match.accepted for report in matches):
         for status, number in Counter(report.match.status for report in matches).most_common(2):
             first = next(report.match for report in matches if report.match.status is status)
-            what = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
-            yield Finding(what, "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))))
+            problem = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
+            yield Finding(problem, "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))))
 
 
 def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
@@ -210,22 +228,31 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
     ]
 
 
-_STRETCH: Final = 200
-"""Samples over which the controller runs on its own: its integral shows wrong gains and wrong windup."""
-_MIN_SAMPLES: Final = 20
-"""Shorter stretches are left out."""
-_SHARE: Final = 0.1
-"""RMS error of the input, in standard deviations of the input, from which the loop is another one."""
+@dataclass(frozen=True)
+class _LoopRule:
+    """How the declared controller is run on recorded set-points and outputs."""
+
+    stretch: int = 200
+    """Samples over which the controller runs on its own: its integral shows wrong gains and wrong windup."""
+    shortest: int = 20
+    """Shorter stretches are left out."""
+    share: float = 0.1
+    """RMS error of the input, in standard deviations of the input, from which the loop is another one."""
+
+
+_LOOP_RULE: Final = _LoopRule()
 
 
 def loop_findings(session: Session, plant: type[Plant], law: Law | None) -> Iterator[Finding]:
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if law is None or not session.has_reference:
         return
-    rms = root_mean_square([off for run in _runs(session.samples, law.period) for off in _errors(run, law)])
+    rms = root_mean_square(
+        [errors for run in _runs(session.samples, law.period) for errors in _errors(run, law)]
+    )
     usual = float(np.std([sample.input for sample in session.samples]))
     unit = plant.drive.unit
-    if rms > max(_SHARE * usual, plant.drive.noise):  # not a number without such a run
+    if rms > max(_LOOP_RULE.share * usual, plant.drive.noise):  # not a number without such a run
         yield Finding(
             "the loop in the file does not give the recorded input: run on the recorded set-points and "
             f"outputs, it is {rms:.2g} {unit} off (RMS; the input's own standard deviation is {usual:.2g} "
@@ -238,9 +265,9 @@ def loop_findings(session: Session, plant: type[Plant], law: Law | None) -> Iter
 def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
     """Stretches of consecutive samples."""
     for run in unbroken(samples):
-        for first in range(0, len(run), _STRETCH):
-            part = run[first : first + _STRETCH]
-            if len(part) >= _MIN_SAMPLES:
+        for first in range(0, len(run), _LOOP_RULE.stretch):
+            part = run[first : first + _LOOP_RULE.stretch]
+            if len(part) >= _LOOP_RULE.shortest:
                 yield Window.from_samples(part, period)
 
 
@@ -248,7 +275,7 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     """Input of the declared controller minus the recorded one, from its first two samples within limits on:
     the controller's state follows from those."""
     within = [not law.saturates(float(u)) for u in run.input]
-    begin = next((k for k in range(len(run) - _MIN_SAMPLES) if within[k] and within[k + 1]), None)
+    begin = next((k for k in range(len(run) - _LOOP_RULE.shortest) if within[k] and within[k + 1]), None)
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
@@ -256,10 +283,17 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     yield only("input", commands) - part.input[2:]
 
 
-_SHORTEST: Final = 60
-"""Samples of the shortest stretch that is used."""
-_MAX_SAMPLES: Final = 7200
-"""Samples that are used at most: two hours at 1 s determine a structure, and longer fits take long."""
+@dataclass(frozen=True)
+class _Extent:
+    """Stretches of a recording to which structures are fitted, in samples."""
+
+    shortest: int = 60
+    """The shortest that is used."""
+    total: int = 7200
+    """All together at most: two hours at 1 s determine a structure, and longer fits take long."""
+
+
+_EXTENT: Final = _Extent()
 
 
 class Compared(NamedTuple):
@@ -272,11 +306,13 @@ class Compared(NamedTuple):
     """RMS of each output's smallest residuals, in its unit; empty if nothing could be fitted."""
 
 
-def compare_structures(held: Sequence[Window], plant: type[Plant], settings: TwinSettings) -> Compared:
+def compare_structures(
+    without_gaps: Sequence[Window], plant: type[Plant], settings: TwinSettings
+) -> Compared:
     """Fit every structure of the plant file to a recording, its stretches without a gap, and choose one as
     the twin does."""
-    windows = _windows(held)
-    total = sum(map(len, held))
+    windows = _windows(without_gaps)
+    total = sum(map(len, without_gaps))
     first = settings.start.model.structure_name
     return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
 
@@ -307,12 +343,12 @@ def _compared(
     findings = []
     first = first or names[0]
     if chosen != first:
-        what = f"the recording supports the structure {chosen!r} rather than {first!r}"
+        problem = f"the recording supports the structure {chosen!r} rather than {first!r}"
         todo = "put it first in `structures`: single windows are matched with the first one"
-        findings.append(Finding(what, todo))
+        findings.append(Finding(problem, todo))
     if lack := _lack(choice.score, windows, noise, law):
-        what = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
-        findings.append(Finding(what, "add the lines above to the plant file"))
+        problem = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
+        findings.append(Finding(problem, "add the lines above to the plant file"))
         notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
     return Compared(findings, notes, least)
 
@@ -336,14 +372,14 @@ def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: L
     return lack_of(score.parameters, windows[0].period, left(score.fitted), independent, fit)
 
 
-def _windows(whole: Sequence[Window]) -> list[Window]:
+def _windows(without_gaps: Sequence[Window]) -> list[Window]:
     windows = []
-    left = _MAX_SAMPLES
-    for stretch in whole:
-        count = min(left, len(stretch))
-        if count >= _SHORTEST:
+    samples_left = _EXTENT.total
+    for stretch in without_gaps:
+        count = min(samples_left, len(stretch))
+        if count >= _EXTENT.shortest:
             windows.append(stretch.part(stretch.first, stretch.first + count - 1))
-            left -= count
+            samples_left -= count
     return windows
 
 
@@ -351,8 +387,8 @@ def _line(score: StructureScore, plant: type[Plant]) -> str:
     values = ", ".join(f"{name} = {score.parameters[name]:.4g}" for name in score.fitted.model.structure.free)
     fit = "" if math.isnan(score.fit[0]) else f", fit {score.fit[0]:.1%}"
     pairs = zip(plant.outputs.values(), _rms(score.fitted), strict=True)
-    left = " and ".join(f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs)
-    return f"{score.name}: leaves {left}{fit}; held back, it is off by {score.off:.3g} × noise; {values}"
+    residuals = " and ".join(f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs)
+    return f"{score.name}: leaves {residuals}{fit}; held back, it is off by {score.off:.3g} × noise; {values}"
 
 
 def _rms(fitted: StructureFit) -> list[float]:

@@ -79,15 +79,15 @@ class Dimensions:
         if unit is None or not expression.free_symbols:
             return
         if not _alike(unit, wanted):
-            what = f"{place}: has the unit {_words(unit)}, but needs {words}"
+            problem = f"{place}: has the unit {_words(unit)}, but needs {words}"
             todo = "look for a missing or duplicate factor, and for a wrong unit in a declaration"
-            self._add(what, todo)
+            self._add(problem, todo)
         elif ratio := _ratio(unit, wanted):
-            what = f"{place}: has {ratio:g} times the unit {words}"
-            self._add(what, "declare units of one scale (s, not min; W, not kW), or multiply")
+            problem = f"{place}: has {ratio:g} times the unit {words}"
+            self._add(problem, "declare units of one scale (s, not min; W, not kW), or multiply")
 
-    def _add(self, what: str, todo: str) -> None:
-        self.findings.setdefault(what, Finding(what, todo))
+    def _add(self, problem: str, todo: str) -> None:
+        self.findings.setdefault(problem, Finding(problem, todo))
 
     def _unit(self, place: str, expression: Any) -> _Known:  # noqa: PLR0911 (one for each kind)
         import sympy  # noqa: PLC0415
@@ -110,8 +110,8 @@ class Dimensions:
         for argument in expression.args:
             unit = self._unit(place, argument)
             if unit is not None and unit.powers:
-                what = f"{place}: the argument of {_short(expression)} has the unit {_words(unit)}"
-                self._add(what, "divide by a quantity of that unit: the argument must be a plain number")
+                problem = f"{place}: the argument of {_short(expression)} has the unit {_words(unit)}"
+                self._add(problem, "divide by a quantity of that unit: the argument must be a plain number")
         return _Unit({}, 1.0)
 
     def _product(self, place: str, expression: Any) -> _Known:
@@ -140,27 +140,29 @@ class Dimensions:
             return _Unit({}, 1.0)
         if base.is_Symbol and self._units[base].offset and exponent > 1:
             declared = self._symbols[base].unit
-            what = f"{place}: {_short(expression)} takes a power of {base}, which is in {declared}"
-            self._add(what, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
+            problem = f"{place}: {_short(expression)} takes a power of {base}, which is in {declared}"
+            self._add(problem, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
         if base_unit is None:
             return None
         power = Fraction(float(exponent)).limit_denominator(1000)
         return _times(_Unit({}, 1.0), base_unit, Fraction(str(exponent)) if exponent.is_Rational else power)
 
     def _equal(self, place: str, parts: Any) -> _Known:
-        known = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
-        for part, unit in known[1:]:
-            first, other = known[0]
-            if not _alike(unit, other):
-                what = (
+        with_units = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
+        for part, unit in with_units[1:]:
+            first, first_unit = with_units[0]
+            if not _alike(unit, first_unit):
+                problem = (
                     f"{place}: {_short(part)} in {_words(unit)} is added to or compared with "
-                    f"{_short(first)} in {_words(other)}"
+                    f"{_short(first)} in {_words(first_unit)}"
                 )
-                self._add(what, "look for a missing factor in one of the two, and check their units")
-            elif ratio := _ratio(unit, other):
-                what = f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
-                self._add(what, "declare both in units of one scale, or multiply one of them")
-        return known[0][1] if known else None
+                self._add(problem, "look for a missing factor in one of the two, and check their units")
+            elif ratio := _ratio(unit, first_unit):
+                problem = (
+                    f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
+                )
+                self._add(problem, "declare both in units of one scale, or multiply one of them")
+        return with_units[0][1] if with_units else None
 
     def _zeros(self, place: str, terms: list[tuple[Any, Any]], *, numbers: bool) -> None:
         """Find temperatures with different zeros in one sum."""
@@ -174,9 +176,11 @@ class Dimensions:
                 counted[unit.offset] += sign
                 named[unit.offset] = symbol
         if counted[True] and counted[False]:
-            one, other = (f"in {self._symbols[s].unit}" for s in (named[True], named[False]))
-            what = f"{place}: {named[True]} is {one} and {named[False]} {other}, in one sum"
-            self._add(what, "convert them to one zero: °C + 273.15 is K")
+            shifted = named[True]
+            absolute = named[False]
+            units = (self._symbols[shifted].unit, self._symbols[absolute].unit)
+            problem = f"{place}: {shifted} is in {units[0]} and {absolute} in {units[1]}, in one sum"
+            self._add(problem, "convert them to one zero: °C + 273.15 is K")
 
 
 def _unit_of(measured: Measure) -> _Unit:
@@ -184,26 +188,30 @@ def _unit_of(measured: Measure) -> _Unit:
     return _Unit(powers, measured.factor)
 
 
-def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:
-    powers = dict(one.powers)
-    for name, value in other.powers.items():
+def _times(unit: _Unit, second: _Unit, power: Fraction) -> _Unit:
+    powers = dict(unit.powers)
+    for name, value in second.powers.items():
         powers[name] = powers.get(name, Fraction(0)) + value * power
     factor = None
-    if one.factor is not None and other.factor is not None:
+    if unit.factor is not None and second.factor is not None:
         with suppress(OverflowError):
-            factor = one.factor * other.factor ** float(power)
+            factor = unit.factor * second.factor ** float(power)
     return _Unit({n: p for n, p in powers.items() if p}, factor or None)
 
 
-def _alike(one: _Unit, other: _Unit) -> bool:
-    return dict(one.powers) == dict(other.powers)
+def _alike(first: _Unit, second: _Unit) -> bool:
+    return dict(first.powers) == dict(second.powers)
 
 
-def _ratio(one: _Unit, other: _Unit) -> float | None:
+def _ratio(first: _Unit, second: _Unit) -> float | None:
     """How much larger one unit is; None where they are equal, or a number may have changed them."""
-    if one.factor is None or other.factor is None or math.isclose(one.factor, other.factor, rel_tol=_SAME):
+    if (
+        first.factor is None
+        or second.factor is None
+        or math.isclose(first.factor, second.factor, rel_tol=_SAME)
+    ):
         return None
-    return one.factor / other.factor
+    return first.factor / second.factor
 
 
 def _plain(number: Any) -> bool:
@@ -219,8 +227,8 @@ def _plain(number: Any) -> bool:
 
 def _terms(expression: Any) -> list[tuple[Any, Any]]:
     """Symbols that are terms of a sum by themselves, with their signs."""
-    parts = [term.as_coeff_Mul() for term in (expression.args if expression.is_Add else (expression,))]
-    return [(rest, int(number)) for number, rest in parts if rest.is_Symbol and abs(number) == 1]
+    coefficients = [term.as_coeff_Mul() for term in (expression.args if expression.is_Add else (expression,))]
+    return [(symbol, int(number)) for number, symbol in coefficients if symbol.is_Symbol and abs(number) == 1]
 
 
 def _has_number(expression: Any) -> bool:

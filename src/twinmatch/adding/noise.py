@@ -13,48 +13,91 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.signals import FloatArray
 
-_MOST: Final = 20_000
-"""Samples that are used; more say little about a noise."""
-_LAGS: Final = 14
-"""Lags of the answers to each input, from one sample to a quarter of the recording …"""
-_PER_LAG: Final = 20
-"""… and samples for each of them, so that they do not explain the noise."""
-_SPIKE: Final = 6.0
-"""A reading that much further off than the median one explains nothing."""
-_BLOCK: Final = 20
-"""Second differences whose mean square shows how quiet the signal is there, and …"""
-_PER_DISTANCE: Final = 4
-"""… at least so many distances h; four such blocks are needed."""
-_QUIET: Final = 0.6
-"""Lower quartile of such mean squares of white noise, in their median."""
-_FAR: Final = 9.0
-"""A quarter of the recording is far quieter if its variance is less by this factor: white noise never is."""
-_LOUD: Final = 4.0
-"""Blocks count up to so many medians: noise may depend on the level, a movement is larger."""
-_LEVEL = 1.25
-_BENT = 1.7
-_STEEP = 5.0
-"""Growth of the variance when h doubles: below the first it has arrived; below the second nearly so, when
-from the third on the plant's movement takes over. Averages and filters give up to 4, movements up to 16."""
-_ALL: Final = 1.0
-"""Squared median deviation of all that is left, in that variance, up to which it is nothing but noise (of
-white noise: 0.45)."""
-_STEPS: Final = 20
-"""Steps between held readings from which a sensor is a coarse one."""
-_FLOOR: Final = 1e-4
-"""Least noise of computed values, as a share of their range; that of written ones is their last digit's."""
-_DIGIT: Final = 1e-6
-"""Smaller changes, as a share of the range, are below a digit."""
-_ON_GRID = 1e-3
-_NEARLY_ALL = 0.95
-"""So close to a multiple of the last digit are nearly all changes; resampling leaves a few fractions."""
+
+@dataclass(frozen=True)
+class _Answers:
+    """The plant's answers to its inputs, which are taken off first."""
+
+    most: int = 20_000
+    """Samples that are used; more say little about a noise."""
+    lags: int = 14
+    """Lags of the answers to each input, from one sample to a quarter of the recording."""
+    per_lag: int = 20
+    """Samples for each of the lags, so that they do not explain the noise."""
+    spike: float = 6.0
+    """A reading that much further off than the median one explains nothing."""
+
+
+_ANSWERS: Final = _Answers()
+
+
+@dataclass(frozen=True)
+class _DifferenceBlocks:
+    """Blocks of second differences, whose mean squares show where the signal is quiet."""
+
+    size: int = 20
+    """Second differences in a block."""
+    per_distance: int = 4
+    """Second differences in a block, at least, for every sample of their distance h; four such blocks are
+    needed."""
+    quiet: float = 0.6
+    """Lower quartile of such mean squares of white noise, in their median."""
+    far: float = 9.0
+    """A quarter of the recording is far quieter if its variance is less by this factor: white noise never
+    is."""
+    loud: float = 4.0
+    """Blocks count up to so many medians: noise may depend on the level, a movement is larger."""
+
+
+_BLOCKS: Final = _DifferenceBlocks()
+
+
+@dataclass(frozen=True)
+class _Growth:
+    """Growth of the variance when the distance h doubles.
+
+    Averages and low-pass filters let it grow up to 4 times, movements of the plant up to 16 times."""
+
+    level: float = 1.25
+    """Below it, the variance has arrived."""
+    bent: float = 1.7
+    """Below it, it has nearly arrived, when the plant's movement takes over."""
+    steep: float = 5.0
+    """From it on, the plant's movement takes over."""
+    all_of_it: float = 1.0
+    """Squared median deviation of all that is left, in that variance, up to which it is nothing but noise (of
+    white noise: 0.45)."""
+
+
+_GROWTH: Final = _Growth()
+
+
+@dataclass(frozen=True)
+class _Digits:
+    """Readings of coarse sensors, and of values that were written with few digits."""
+
+    steps: int = 20
+    """Steps between held readings from which a sensor is a coarse one."""
+    floor: float = 1e-4
+    """Least noise of computed values, as a share of their range; that of written ones is their last
+    digit's."""
+    smallest: float = 1e-6
+    """Smaller changes, as a share of the range, are below a digit."""
+    on_grid: float = 1e-3
+    """A change is a multiple of the last digit if it is so close to one, in digits."""
+    nearly_all: float = 0.95
+    """Share of the changes that are multiples; resampling leaves a few fractions."""
+
+
+_DIGITS: Final = _Digits()
 
 
 def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
@@ -64,13 +107,14 @@ def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
         values: readings of a plant that moved, shape (N,), equally far apart.
         inputs: what moved it, each of shape (N,): inputs and measured disturbances.
     """
-    y = values[:_MOST]
-    white = _noise(_unexplained(y, [u[:_MOST] for u in inputs]))
+    y = values[: _ANSWERS.most]
+    white = _noise(_unexplained(y, [u[: _ANSWERS.most] for u in inputs]))
     reach = float(np.ptp(y)) or 1.0
     changes = np.abs(np.diff(y))
-    digit = float(np.min(changes[changes > _DIGIT * reach], initial=math.inf))
-    in_digits = np.mean(np.abs(changes / digit - np.rint(changes / digit)) < _ON_GRID) > _NEARLY_ALL
-    least = digit / math.sqrt(12.0) if in_digits and digit < math.inf else _FLOOR * reach
+    digit = float(np.min(changes[changes > _DIGITS.smallest * reach], initial=math.inf))
+    off_grid = np.abs(changes / digit - np.rint(changes / digit))
+    in_digits = np.mean(off_grid < _DIGITS.on_grid) > _DIGITS.nearly_all
+    least = digit / math.sqrt(12.0) if in_digits and digit < math.inf else _DIGITS.floor * reach
     return float(f"{max(white, resolution(y) / math.sqrt(12.0), least):.2g}")
 
 
@@ -81,13 +125,13 @@ def resolution(values: FloatArray) -> float:
     """
     first = np.flatnonzero(np.insert(np.diff(values) != 0.0, 0, values=True))
     lengths = np.diff(np.append(first, values.size))
-    held = (lengths[1:] > 1) & (lengths[:-1] > 1)
-    steps = np.abs(np.diff(values[first]))[held]
-    if steps.size < _STEPS:
+    both_held = (lengths[1:] > 1) & (lengths[:-1] > 1)
+    steps = np.abs(np.diff(values[first]))[both_held]
+    if steps.size < _DIGITS.steps:
         return 0.0
-    steps = np.minimum(steps, _LOUD * np.median(steps))
-    step = math.sqrt(np.average(steps**2, weights=(lengths[1:] + lengths[:-1])[held]))
-    return step if step < float(np.ptp(values)) / _STEPS else 0.0
+    steps = np.minimum(steps, _BLOCKS.loud * np.median(steps))
+    step = math.sqrt(np.average(steps**2, weights=(lengths[1:] + lengths[:-1])[both_held]))
+    return step if step < float(np.ptp(values)) / _DIGITS.steps else 0.0
 
 
 def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray:
@@ -95,7 +139,7 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
     from scipy.signal import lfilter  # noqa: PLC0415 (takes a second, used only here)
 
     size = values.size
-    count = min(_LAGS, size // (_PER_LAG * (1 + len(inputs))))
+    count = min(_ANSWERS.lags, size // (_ANSWERS.per_lag * (1 + len(inputs))))
     if not inputs or count < 2:
         return values
     columns = [np.ones(size), *inputs]
@@ -104,43 +148,67 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
         columns += [lfilter([0.0, 1.0 - pole], [1.0, -pole], u - u[0]) for u in inputs]
     table = np.column_stack(columns)
     table = table / (np.linalg.norm(table, axis=0) + 1e-300)
-    left = values
-    kept = np.ones(size, dtype=np.bool_)
+    residuals = values
+    has_no_spike = np.ones(size, dtype=np.bool_)
     for _ in range(2):  # the second time without spikes
-        left = values - table @ np.linalg.lstsq(table[kept], values[kept], rcond=None)[0]
-        kept = np.abs(left) <= _SPIKE * np.median(np.abs(left))
-    return left
+        residuals = values - table @ np.linalg.lstsq(table[has_no_spike], values[has_no_spike], rcond=None)[0]
+        has_no_spike = np.abs(residuals) <= _ANSWERS.spike * np.median(np.abs(residuals))
+    return residuals
 
 
 def _noise(values: FloatArray) -> float:
     """Standard deviation of noise, white or coloured, on a signal that hardly moves."""
-    found: list[tuple[float, float]] = []
+    variances: list[_Variance] = []
     for distance in 2 ** np.arange(12):
-        if (typical := _typical(values, int(distance))) is None:
+        typical = _typical(values, int(distance))
+        if typical is None:
             break
-        found.append(typical)
-    growth = [after / max(before, 1e-300) for (before, _), (after, _) in pairwise(found)]
-    end = next((k for k, by in enumerate(growth) if by < _LEVEL or by > _STEEP), len(growth))
-    arrived = end < len(growth) and growth[end] < _LEVEL
-    chosen = end if arrived or (end and growth[end - 1] < _BENT) else 0
-    if chosen and found[chosen][0] * _ALL < float(np.median(np.abs(values - np.median(values)))) ** 2:
+        variances.append(typical)
+    if not variances:
+        return 0.0
+    chosen = _distance_of_noise(variances)
+    spread = float(np.median(np.abs(values - np.median(values))))
+    if chosen and variances[chosen].median * _GROWTH.all_of_it < spread**2:
         chosen = 0  # much is left that is slower still: a movement
-    return math.sqrt(found[chosen][1]) if found else 0.0
+    return math.sqrt(variances[chosen].mean)
 
 
-def _typical(values: FloatArray, distance: int) -> tuple[float, float] | None:
-    """Variance of the noise from second differences at a distance, the median of blocks and their mean
-    without movements; None if the recording is too short."""
-    bends = np.abs(values[2 * distance :] - 2.0 * values[distance:-distance] + values[: -2 * distance])
-    block = max(_BLOCK, _PER_DISTANCE * distance)
-    if bends.size < _BLOCK or (distance > 1 and bends.size < 4 * block):
+def _distance_of_noise(variances: Sequence[_Variance]) -> int:
+    """Place of the distance at which noise does not resemble itself any longer; 0 where none shows it."""
+    growth = [after.median / max(before.median, 1e-300) for before, after in pairwise(variances)]
+    has_ended = [factor < _GROWTH.level or factor > _GROWTH.steep for factor in growth]
+    end = has_ended.index(True) if any(has_ended) else len(growth)
+    has_arrived = end < len(growth) and growth[end] < _GROWTH.level
+    has_nearly = end > 0 and growth[end - 1] < _GROWTH.bent
+    return end if has_arrived or has_nearly else 0
+
+
+class _Variance(NamedTuple):
+    """Variance of the noise from second differences at one distance."""
+
+    median: float
+    """Median of blocks."""
+    mean: float
+    """Mean of blocks without movements."""
+
+
+def _typical(values: FloatArray, distance: int) -> _Variance | None:
+    """From second differences at this distance; None if the recording is too short."""
+    before = values[: -2 * distance]
+    between = values[distance:-distance]
+    after = values[2 * distance :]
+    bends = np.abs(after - 2.0 * between + before)
+    block = max(_BLOCKS.size, _BLOCKS.per_distance * distance)
+    if bends.size < _BLOCKS.size or (distance > 1 and bends.size < 4 * block):
         return None
-    usual = max(np.median(bends) / 0.6745, 2.0 * np.mean(np.minimum(bends, np.quantile(bends, 0.9))))
+    by_median = np.median(bends) / 0.6745
+    by_mean = 2.0 * np.mean(np.minimum(bends, np.quantile(bends, 0.9)))
+    usual = max(by_median, by_mean)
     squares = np.square(bends[bends <= 4.0 * usual]) / 6.0  # without spikes
     block = min(block, squares.size)
     means = squares[: squares.size - squares.size % block].reshape(-1, block).mean(axis=1)
     middle = float(np.median(means))
-    quiet = float(np.quantile(means, 0.25)) / _QUIET
-    if quiet < middle / _FAR:
-        return quiet, quiet
-    return middle, float(np.mean(np.minimum(means, _LOUD * middle)))
+    quiet = float(np.quantile(means, 0.25)) / _BLOCKS.quiet
+    if quiet < middle / _BLOCKS.far:
+        return _Variance(quiet, quiet)
+    return _Variance(middle, float(np.mean(np.minimum(means, _BLOCKS.loud * middle))))

@@ -28,10 +28,21 @@ from twinmatch.units import is_readable, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
-_FEWEST_BLOCKS: Final = 20
-"""Fewest blocks from which a model is estimated."""
-_MOVES: Final = 5.0
-"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
+
+
+@dataclass(frozen=True)
+class _ModelBlocks:
+    """Blocks of samples from which a model is estimated."""
+
+    fewest: int = 20
+    """Fewest of them."""
+    moves: float = 5.0
+    """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
+
+
+_BLOCKS: Final = _ModelBlocks()
+
+
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
@@ -88,9 +99,9 @@ class Proposal:
         return next((d for d in self.disturbances if _alike(d.unit, self.output.unit)), None)
 
 
-def _alike(unit: str, other: str) -> bool:
+def _alike(first: str, second: str) -> bool:
     """Whether two units measure the same quantity."""
-    return measure(unit).dimension == measure(other).dimension
+    return measure(first).dimension == measure(second).dimension
 
 
 def example() -> Proposal:
@@ -108,17 +119,17 @@ def example() -> Proposal:
     )
 
 
-def propose(table: Table, given: SignalMap) -> Proposal:
+def propose(table: Table, signal_map: SignalMap) -> Proposal:
     """Estimate the numbers for a first plant file from a table.
 
     Args:
         table: the table.
-        given: columns of time, output and input; every other name is a disturbance.
+        signal_map: columns of time, output and input; every other name is a disturbance.
     """
-    require_columns(table, given)
-    sources = {name: with_titles(table, source) for name, source in given.sources.items()}
-    resampled = _resampled(table, sources, given.period)
-    disturbance_names = [name for name in given.sources if name not in _KNOWN]
+    require_columns(table, signal_map)
+    sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
+    resampled = _resampled(table, sources, signal_map.period)
+    disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
     drive = resampled.columns["input"]
     noise, model = _estimated(resampled, disturbance_names)
@@ -127,15 +138,17 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     if around is not None:
         model = model._replace(rest=float(resampled.columns[around].mean()))
     drive_range = _range_of(drive)
-    taken: list[str] = []
-    output_name = _signal_name(sources, "output", taken)
-    input_name = _signal_name(sources, "input", taken)
+    names_in_file: list[str] = []
+    output_name = _signal_name(sources, "output", names_in_file)
+    input_name = _signal_name(sources, "input", names_in_file)
     disturbances = {}
     for name in disturbance_names:
         values = resampled.columns[name]
         unit = _unit(table, sources, name)
-        disturbances[name] = Signal(_word(name, taken), unit, float(values.min()), float(values.max()))
-    own_names = {name: disturbance.name for name, disturbance in disturbances.items()}
+        disturbances[name] = Signal(
+            _word(name, names_in_file), unit, float(values.min()), float(values.max())
+        )
+    plant_names = {name: disturbance.name for name, disturbance in disturbances.items()}
     return Proposal(
         output=Signal(output_name, output_unit, *_output_range(reading, drive_range, model)),
         input=Signal(input_name, _unit(table, sources, "input"), *drive_range),
@@ -145,9 +158,9 @@ def propose(table: Table, given: SignalMap) -> Proposal:
         gain=model.gain,
         lag=model.lag,
         rest=model.rest,
-        sources={own_names.get(signal, signal): source for signal, source in given.sources.items()},
+        sources={plant_names.get(signal, signal): source for signal, source in signal_map.sources.items()},
         table=table.path.name,
-        has_reference="reference" in given.sources,
+        has_reference="reference" in signal_map.sources,
         split=bool(resampled.gaps),
     )
 
@@ -195,9 +208,11 @@ def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float
     longest = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
     reading = resampled.columns["output"][longest]
     drive = resampled.columns["input"][longest]
-    others = [resampled.columns[name][longest] for name in disturbances]
-    noise = noise_of(reading, [drive, *others])
-    return noise, _first_order(_without_spikes(reading, noise), drive, others, noise, resampled.period)
+    disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
+    noise = noise_of(reading, [drive, *disturbance_columns])
+    return noise, _first_order(
+        _without_spikes(reading, noise), drive, disturbance_columns, noise, resampled.period
+    )
 
 
 def _output_range(
@@ -217,13 +232,13 @@ def _values(table: Table, source: SignalSource) -> FloatArray:
     return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
 
 
-def _signal_name(sources: Mapping[str, SignalSource], signal: str, taken: list[str]) -> str:
+def _signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]) -> str:
     """A name after the signal's column."""
     title, _ = split_title(sources[signal].places[0])
     if title.lower() in _KNOWN and title.lower() != signal:
         title = _ROLES[signal]
     has_a_word = re.search(r"[a-zA-Z]{3}", title)
-    return _word(title if has_a_word else signal, taken)
+    return _word(title if has_a_word else signal, names_in_file)
 
 
 def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
@@ -233,17 +248,17 @@ def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str
     return unit if is_readable(unit) else ""
 
 
-def _word(title: str, taken: list[str]) -> str:
+def _word(title: str, names_in_file: list[str]) -> str:
     """A valid Python name that does not yet occur in the file."""
     text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())  # as Python reads names
     plain = "".join(c if f"_{c}".isidentifier() else " " for c in text)
     plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
     plain = plain if plain.isidentifier() else f"n{plain}"
-    own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
-    own |= {"acting", "acting_0", "acting_1", "dead_time", "store", "store_lag", "store_share"}
-    while keyword.iskeyword(plain) or plain in taken or plain in own - {"output"}:
+    reserved = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
+    reserved |= {"acting", "acting_0", "acting_1", "dead_time", "store", "store_lag", "store_share"}
+    while keyword.iskeyword(plain) or plain in names_in_file or plain in reserved - {"output"}:
         plain += "_"
-    taken.append(plain)
+    names_in_file.append(plain)
     return plain
 
 
@@ -257,14 +272,14 @@ def _range_of(values: FloatArray) -> tuple[float, float]:
 
 
 def _first_order(
-    reading: FloatArray, drive: FloatArray, others: Sequence[FloatArray], noise: float, period: float
+    reading: FloatArray, drive: FloatArray, disturbances: Sequence[FloatArray], noise: float, period: float
 ) -> _FirstOrder:
     """The model of the difference equation, of the shortest blocks that show it; a guess if none do."""
     for block in (2**k for k in range(12)):
-        if reading.size < _FEWEST_BLOCKS * block:
+        if reading.size < _BLOCKS.fewest * block:
             break
         whole = reading.size - reading.size % block
-        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (reading, drive, *others)]
+        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (reading, drive, *disturbances)]
         model = _of_blocks(means, noise / math.sqrt(block), block * period)
         if model is not None:
             return model
@@ -281,7 +296,7 @@ def _of_blocks(means: Sequence[FloatArray], noise: float, period: float) -> _Fir
     """
     before = means[0][:-1]
     changes = means[0][1:] - before
-    if np.std(changes) < _MOVES * noise:
+    if np.std(changes) < _BLOCKS.moves * noise:
         return None
     table = np.column_stack([np.ones(before.size), before, *(signal[:-1] for signal in means[1:])])
     constant, by_output, by_input, *_ = np.linalg.lstsq(table, changes, rcond=None)[0]

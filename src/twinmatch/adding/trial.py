@@ -48,10 +48,21 @@ class CheckedPlant:
 
 
 SAMPLES: Final = 400
-_PER_LAG: Final = 20.0
-"""Samples per slowest time constant: 400 samples span twenty of them."""
-_HALVINGS: Final = 20
-_SEED: Final = 7
+
+
+@dataclass(frozen=True)
+class _TrialCourse:
+    """The course of the simulated experiment."""
+
+    per_lag: float = 20.0
+    """Samples per slowest time constant: 400 samples span twenty of them."""
+    halvings: int = 20
+    """Halvings of the period until a sample of it does not take too many steps."""
+    seed: int = 7
+    """Of the inputs."""
+
+
+_COURSE: Final = _TrialCourse()
 
 
 class Trial(NamedTuple):
@@ -77,10 +88,10 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
         PlantError: the equations have no finite values there.
     """
     model = parameters.model
-    rest = np.array([sum(drive.limits) / 2 for drive in model.plant.drives.values()])
+    inputs = np.array([sum(drive.limits) / 2 for drive in model.plant.drives.values()])
     middle = np.array([sum(model.plant.states[name].span) / 2 for name in model.states])
-    for states in (begin(parameters, middle_of(model), input=rest), middle):  # a power may begin at 0
-        slopes = model.kernels.slopes_at(parameters.vector, states, rest, model.disturbances)[1]
+    for states in (begin(parameters, middle_of(model), input=inputs), middle):  # a power may begin at 0
+        slopes = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)[1]
         if np.isfinite(slopes).all():
             break
     else:
@@ -94,14 +105,14 @@ def _advice(model: Model) -> str:
     from sympy import Pow, sympify  # noqa: PLC0415 (takes half a second)
 
     rates = written_equations(model.plant(), model.structure.parts).rates.values()
-    known = {*model.states, *model.plant.drives}
-    powers = sorted({one for rate in rates for one in sympify(rate).atoms(Pow)}, key=str)
-    for base, by in (one.args for one in powers if not one.exp.is_integer):
-        if known & {str(symbol) for symbol in base.free_symbols}:
+    signals = {*model.states, *model.plant.drives}
+    powers = sorted({power for rate in rates for power in sympify(rate).atoms(Pow)}, key=str)
+    for base, exponent in (power.args for power in powers if not power.exp.is_integer):
+        if signals & {str(symbol) for symbol in base.free_symbols}:
             return (
-                f": ({base})**({by}) has no value where {base} is negative; write "
-                f"maximum({base}, 1e-6)**({by}), or to keep the sign "
-                f"({base})*(({base})**2 + 1e-6)**(({by} - 1)/2)"
+                f": ({base})**({exponent}) has no value where {base} is negative; write "
+                f"maximum({base}, 1e-6)**({exponent}), or to keep the sign "
+                f"({base})*(({base})**2 + 1e-6)**(({exponent} - 1)/2)"
             )
     return ""
 
@@ -120,16 +131,16 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
     """
     model = parameters.model
     lags = time_constants(parameters)
-    slow = float(lags[-1]) / _PER_LAG if lags.size else 1.0
+    slow = float(lags[-1]) / _COURSE.per_lag if lags.size else 1.0
     period = affordable(parameters, float(f"{min(max(slow, 1e-6), 1e6, period or math.inf):.2g}"))
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(_COURSE.seed)
     inputs = np.empty((SAMPLES, len(model.plant.drives)))
     for column, drive in zip(inputs.T, model.plant.drives.values(), strict=True):
-        at = 0
-        while at < SAMPLES:
+        first = 0
+        while first < SAMPLES:
             hold = int(random.integers(5, 60))
-            column[at : at + hold] = random.uniform(*drive.limits)
-            at += hold
+            column[first : first + hold] = random.uniform(*drive.limits)
+            first += hold
     moved = np.repeat(random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0)
     disturbances = model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
     return Trial(inputs, disturbances, period, middle_of(model))
@@ -137,7 +148,7 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
 
 def affordable(parameters: Parameters, period: float) -> float:
     """The longest of a period and its halves of which a sample does not take too many steps, s."""
-    for shorter in period * 0.5 ** np.arange(_HALVINGS):
+    for shorter in period * 0.5 ** np.arange(_COURSE.halvings):
         with suppress(PlantError):
             parameters.steps(shorter)
             return float(shorter)
@@ -156,22 +167,31 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     )
     finite = np.isfinite(run.outputs).all(axis=1)
     if not finite.all():
-        at = int(np.flatnonzero(~finite)[0])
-        msg = f"{parameters.model.title}: its output is not a finite number after {at * trial.period:g} s"
+        first_bad = int(np.flatnonzero(~finite)[0])
+        time = first_bad * trial.period
+        msg = f"{parameters.model.title}: its output is not a finite number after {time:g} s"
         raise PlantError(msg)
-    held = np.tile(trial.outputs, (len(trial.inputs), 1))
+    references = np.tile(trial.outputs, (len(trial.inputs), 1))
     measured = trial.disturbances
-    return run, Window(held, run.outputs, trial.inputs, period=trial.period, disturbances=measured)
+    return run, Window(references, run.outputs, trial.inputs, period=trial.period, disturbances=measured)
 
 
-_POINTS: Final = 4
-_AWAY: Final = 1.5
-"""Largest factor, either way, between a point and the defaults."""
-_FLAT: Final = 1e-6
-"""A column is linearly dependent if its residual is below this share of its length. Tangents are exact to
-about 1e-12; parameters with different effects mostly differ by more than 1e-4."""
-_TAKES_PART: Final = 0.02
-"""Parameters with a smaller share in a combination are not listed."""
+@dataclass(frozen=True)
+class _CombinationSearch:
+    """Where combinations of parameters without effect are looked for, and what counts as one."""
+
+    points: int = 4
+    """Points of the parameter space."""
+    away: float = 1.5
+    """Largest factor, either way, between a point and the defaults."""
+    flat: float = 1e-6
+    """A column is linearly dependent if its residual is below this share of its length. Tangents are exact to
+    about 1e-12; parameters with different effects mostly differ by more than 1e-4."""
+    takes_part: float = 0.02
+    """Parameters with a smaller share in a combination are not listed."""
+
+
+_SEARCH: Final = _CombinationSearch()
 
 
 class _Combination(NamedTuple):
@@ -197,56 +217,77 @@ def inseparable(model: Model) -> list[Finding]:
 def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     random = np.random.default_rng(11)
     points = [model.parameters()]
-    for _ in range(_POINTS - 1):
-        by = {name: float(random.uniform(-1.0, 1.0)) for name in free}
-        moved = {name: _move(model.declared[name], model.defaults[name], by[name]) for name in free}
+    for _ in range(_SEARCH.points - 1):
+        steps = {name: float(random.uniform(-1.0, 1.0)) for name in free}
+        moved = {name: _move(model.declared[name], model.defaults[name], steps[name]) for name in free}
         points.append(model.parameters(**moved))
     return points
 
 
-def _move(declared: Parameter, value: float, by: float) -> float:
+def _move(declared: Parameter, value: float, step: float) -> float:
     low, high = declared.bounds
     if declared.relative and value:
-        moved = value * _AWAY**by
+        moved = value * _SEARCH.away**step
     else:
-        moved = value + by * min(declared.scale, (high - low) / 4)
+        moved = value + step * min(declared.scale, (high - low) / 4)
     return moved if declared.possible(moved) else value
 
 
 def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combination]:
     """Columns of the tangents that depend linearly on the columns before them."""
-    model = parameters.model
-    _, window = run_trial(parameters, trial_for(parameters))
-    starts = model.structure.free_starts
-    experiment = Experiment(parameters, free, window, free_starts=starts, law=None)
-    noise = np.array([y.noise for y in model.plant.outputs.values()])
-    by = experiment.tangents(experiment.values_of(parameters)).by[: noise.size]
-    tangents = np.concatenate(by * (noise[0] / noise)[:, None, None])
-    if not np.isfinite(tangents).all():
-        raise PlantError(f"{model.title}: the sensitivities of its output are not finite")
-    known = [(model.declared[name], parameters[name]) for name in free]
-    sizes = [abs(value) if it.relative and value else it.scale for it, value in known]
-    sizes += [max(abs(model.plant.states[name].scale), 1e-12) for name in starts]
-    columns = tangents * np.array(sizes)
+    starts = parameters.model.structure.free_starts
     names = (*free, *(f"start of {name}" for name in starts))
-    least = 1e-9 * noise[0] * math.sqrt(columns.shape[0])
-    lost: list[_Combination] = []
+    tangents, first_noise = _weighted_tangents(parameters, free)
+    columns = tangents * np.array(_sizes(parameters, free))
+    least = 1e-9 * first_noise * math.sqrt(columns.shape[0])
+    combinations: list[_Combination] = []
     # Initial values first: they are always estimated, so a dependence is attributed to a parameter.
     order = [*range(len(free), len(names)), *range(len(free))]
     basis: list[int] = []
     for j in order:
         length = float(np.linalg.norm(columns[:, j]))
         if length <= least:
-            lost.append(_Combination((names[j],), (1.0,)))
+            combinations.append(_Combination((names[j],), (1.0,)))
             continue
-        shares, rest = _project(columns[:, basis], columns[:, j])
-        if rest > _FLAT * length:
+        shares, residual = _project(columns[:, basis], columns[:, j])
+        if residual > _SEARCH.flat * length:
             basis.append(j)
             continue
-        named = [(names[k], -float(s)) for k, s in zip(basis, shares, strict=True) if abs(s) > _TAKES_PART]
-        parts = [(names[j], 1.0), *named]
-        lost.append(_Combination(tuple(n for n, _ in parts), tuple(s for _, s in parts)))
-    return lost
+        taking_part = [k for k, share in enumerate(shares) if abs(share) > _SEARCH.takes_part]
+        names_in_part = (names[j], *(names[basis[k]] for k in taking_part))
+        shares_in_part = (1.0, *(-float(shares[k]) for k in taking_part))
+        combinations.append(_Combination(names_in_part, shares_in_part))
+    return combinations
+
+
+def _weighted_tangents(parameters: Parameters, free: tuple[str, ...]) -> tuple[FloatArray, float]:
+    """Tangents of all outputs, one below the other in units of the first one's noise, and that noise.
+
+    Raises:
+        PlantError: a sensitivity is not finite.
+    """
+    model = parameters.model
+    _, window = run_trial(parameters, trial_for(parameters))
+    experiment = Experiment(parameters, free, window, free_starts=model.structure.free_starts, law=None)
+    noise = np.array([y.noise for y in model.plant.outputs.values()])
+    by_output = experiment.tangents(experiment.values_of(parameters)).by[: noise.size]
+    tangents = np.concatenate(by_output * (noise[0] / noise)[:, None, None])
+    if not np.isfinite(tangents).all():
+        raise PlantError(f"{model.title}: the sensitivities of its output are not finite")
+    return tangents, noise[0]
+
+
+def _sizes(parameters: Parameters, free: tuple[str, ...]) -> list[float]:
+    """By how much the free parameters and starts change, so that the effects of all are comparable."""
+    model = parameters.model
+    sizes = []
+    for name in free:
+        declared = model.declared[name]
+        value = parameters[name]
+        sizes.append(abs(value) if declared.relative and value else declared.scale)
+    for name in model.structure.free_starts:
+        sizes.append(max(abs(model.plant.states[name].scale), 1e-12))
+    return sizes
 
 
 def _project(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
@@ -255,28 +296,28 @@ def _project(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
         return np.empty(0), float(np.linalg.norm(column))
     lengths = np.linalg.norm(basis, axis=0)
     shares = np.linalg.lstsq(basis / lengths, column, rcond=None)[0]
-    left = float(np.linalg.norm(column - basis / lengths @ shares))
-    return np.asarray(shares / lengths, dtype=np.float64), left
+    residual = float(np.linalg.norm(column - basis / lengths @ shares))
+    return np.asarray(shares / lengths, dtype=np.float64), residual
 
 
 def _finding(model: Model, combination: _Combination) -> Finding:
     place = f"structure {model.structure_name!r}"
     names, shares = combination
     if len(names) == 1:
-        what = f"{place}: the output does not depend on {names[0]}, which is free"
-        return Finding(what, f"remove {names[0]} from `free`, or check the equations")
+        problem = f"{place}: the output does not depend on {names[0]}, which is free"
+        return Finding(problem, f"remove {names[0]} from `free`, or check the equations")
     relative = all(model.declared[n].relative for n in names if n in model.declared)
-    alike = all(abs(abs(s) - 1.0) < 0.02 for s in shares) and relative
+    is_ratio = all(abs(abs(s) - 1.0) < 0.02 for s in shares) and relative
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    if alike and len(names) == 2:
-        seen = f"{names[0]}/{names[1]}" if shares[0] * shares[1] > 0 else f"{names[0]}·{names[1]}"
-        what = f"{place}: no data can determine {listed} separately, only {seen}"
-    elif alike and all(s > 0 for s in shares):
-        what = f"{place}: no data can determine {listed} separately, only their ratios"
+    if is_ratio and len(names) == 2:
+        quantity = f"{names[0]}/{names[1]}" if shares[0] * shares[1] > 0 else f"{names[0]}·{names[1]}"
+        problem = f"{place}: no data can determine {listed} separately, only {quantity}"
+    elif is_ratio and all(s > 0 for s in shares):
+        problem = f"{place}: no data can determine {listed} separately, only their ratios"
     else:
-        what = f"{place}: {listed} can change together without effect on the output"
+        problem = f"{place}: {listed} can change together without effect on the output"
     todo = (
         "remove one of them from `free`, best the one you know or need least (its default, or a value in "
         "`fixed`, is used), or write the equations with the combination"
     )
-    return Finding(what, todo)
+    return Finding(problem, todo)

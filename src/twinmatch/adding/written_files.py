@@ -27,7 +27,7 @@ _TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Pl
 _ABSOLUTE: Final = {"°C": 273.15}
 
 
-def files_of(name: str, held: Proposal) -> dict[str, str]:
+def files_of(name: str, proposal: Proposal) -> dict[str, str]:
     """The texts of the files by file name."""
     _require_name(name)
     # The output is Python and YAML, which need no HTML escaping.
@@ -35,71 +35,79 @@ def files_of(name: str, held: Proposal) -> dict[str, str]:
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, keep_trailing_newline=True
     )
     pages.filters["text"] = _quote
-    table = re.sub(r"[^\w .()+-]", "_", held.table)  # stands in comments
-    words = {"name": name, "table": table, **_plant(name, held)}
+    table = re.sub(r"[^\w .()+-]", "_", proposal.table)  # stands in comments
+    words = {"name": name, "table": table, **_plant(name, proposal)}
     files = {
         f"{name}.py": pages.get_template("plant.jinja").render(words),
-        f"test_{name}.py": pages.get_template("test.jinja").render(words | _test(held)),
-        f"{name}.yaml": pages.get_template("config.jinja").render(name=name, period=held.period),
+        f"test_{name}.py": pages.get_template("test.jinja").render(words | _test(proposal)),
+        f"{name}.yaml": pages.get_template("config.jinja").render(name=name, period=proposal.period),
     }
-    if held.sources:
-        sources = [(_key(signal), _source(source)) for signal, source in held.sources.items()]
+    if proposal.sources:
+        sources = [(_key(signal), _source(source)) for signal, source in proposal.sources.items()]
         files[f"{name}_map.yaml"] = pages.get_template("map.jinja").render(
-            words, period=held.period, sources=sources
+            words, period=proposal.period, sources=sources
         )
     return files
 
 
 def _require_name(name: str) -> None:
-    what = ""
+    problem = ""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or len(name) > _LONGEST or keyword.iskeyword(name):
-        what = "not a valid name"
+        problem = "not a valid name"
     elif name in {*PLANTS, *installed_names()}:
-        what = "there is a plant of this name"
+        problem = "there is a plant of this name"
     elif (spec := importlib.util.find_spec(name)) and Path(spec.origin or "").parent != Path.cwd():
-        what = "there is a Python module of this name, which the plant's file would hide"
-    if what:
+        problem = "there is a Python module of this name, which the plant's file would hide"
+    if problem:
         todo = f"use up to {_LONGEST} small letters, digits and _, starting with a letter, such as my_tank"
-        raise AddingError(f"new-plant {name[:80]!r}: {what}; {todo}")
+        raise AddingError(f"new-plant {name[:80]!r}: {problem}; {todo}")
 
 
-def _plant(name: str, held: Proposal) -> dict[str, Any]:
-    y = held.output
-    u = held.input
-    around = held.around
+def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
+    y = proposal.output
+    u = proposal.input
+    around = proposal.around
     title = "".join(part.capitalize() for part in name.split("_"))
     free = ["gain", "lag", *([] if around else ["rest"])]
-    low, high = sorted((held.gain / _WIDE, held.gain * _WIDE))
-    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in held.disturbances]
+    low, high = sorted((proposal.gain / _WIDE, proposal.gain * _WIDE))
+    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
     return {
-        **{"y": y, "u": u, "noise": held.noise, "gain": held.gain, "lag": held.lag, "rest": held.rest},
+        "y": y,
+        "u": u,
+        "noise": proposal.noise,
+        "gain": proposal.gain,
+        "lag": proposal.lag,
+        "rest": proposal.rest,
         "title": f"{title}Plant" if title in _TAKEN else title,
         "absolute": _ABSOLUTE.get(y.unit),
         "drive_rest": min(max(0.0, u.low), u.high),
         "drive_noise": rounded((u.high - u.low) / 100),
         "disturbances": middles,
         "gain_unit": _per(y.unit, u.unit),
-        **{"gain_low": rounded(low), "gain_high": rounded(high)},
-        **{"lag_low": rounded(held.lag / _WIDE), "lag_high": rounded(held.lag * _WIDE)},
+        "gain_low": rounded(low),
+        "gain_high": rounded(high),
+        "lag_low": rounded(proposal.lag / _WIDE),
+        "lag_high": rounded(proposal.lag * _WIDE),
         "rest_scale": rounded((y.high - y.low) / 10),
         "load_most": rounded(y.high - y.low),
-        **{"sensor_lag": rounded(held.lag / 10), "sensor_low": rounded(held.lag / 500)},
-        "dead_low": rounded(held.lag / 50),
+        "sensor_lag": rounded(proposal.lag / 10),
+        "sensor_low": rounded(proposal.lag / 500),
+        "dead_low": rounded(proposal.lag / 50),
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",
     }
 
 
-def _test(held: Proposal) -> dict[str, Any]:
-    low = held.input.low
-    high = held.input.high
-    around = held.around
-    measured = [rounded((d.low + d.high) / 2, 4) for d in held.disturbances]
+def _test(proposal: Proposal) -> dict[str, Any]:
+    low = proposal.input.low
+    high = proposal.input.high
+    around = proposal.around
+    measured = [rounded((d.low + d.high) / 2, 4) for d in proposal.disturbances]
     return {
-        "period": rounded(held.lag / 15),
+        "period": rounded(proposal.lag / 15),
         "levels": [rounded(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)],
         "measured": measured,
-        "begin": measured[held.disturbances.index(around)] if around else held.rest,
+        "begin": measured[proposal.disturbances.index(around)] if around else proposal.rest,
     }
 
 
@@ -118,8 +126,12 @@ def _source(source: SignalSource) -> str:
     """A source as YAML, in one line."""
     columns: Any = list(source.places) if len(source.places) > 1 else source.places[0]
     entry: dict[str, Any] = {"column": columns}
-    more = {"unit": (source.unit, ""), "scale": (source.scale, 1.0), "offset": (source.offset, 0.0)}
-    entry |= {name: value for name, (value, usual) in more.items() if value != usual}
+    optional_entries = {
+        "unit": (source.unit, ""),
+        "scale": (source.scale, 1.0),
+        "offset": (source.offset, 0.0),
+    }
+    entry |= {name: value for name, (value, usual) in optional_entries.items() if value != usual}
     return _quote(entry if len(entry) > 1 else columns)
 
 

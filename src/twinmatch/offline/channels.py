@@ -43,10 +43,10 @@ class ChannelHealth:
             "samples": self.samples,
             "unjudged": self.unjudged,
             "alarms": [
-                {"fault": one.fault.value} | {name: finite(getattr(one, name)) for name in _WRITTEN}
-                for one in self.alarms
+                {"fault": alarm.fault.value} | {name: finite(getattr(alarm, name)) for name in _WRITTEN}
+                for alarm in self.alarms
             ],
-            "through": [one.document() for one in self.through],
+            "through": [alarm.document() for alarm in self.through],
         }
 
     def lines(self) -> Iterator[str]:
@@ -56,11 +56,11 @@ class ChannelHealth:
         if self.unjudged >= 0.01 * self.samples:
             share = f"{self.unjudged / self.samples:.0%}"
             yield f"{self.session}: health: at {share} of the samples the twin is too rough to judge by"
-        for one in self.alarms:
-            last = "to the end" if one.last is None else f"to {one.last * self.period:g} s"
+        for alarm in self.alarms:
+            last = "to the end" if alarm.last is None else f"to {alarm.last * self.period:g} s"
             yield (
-                f"{self.session}: health: {one.fault.value} from {one.first * self.period:g} s {last}, "
-                f"reported at {one.flagged * self.period:g} s: {one.reason}"
+                f"{self.session}: health: {alarm.fault.value} from {alarm.first * self.period:g} s {last}, "
+                f"reported at {alarm.flagged * self.period:g} s: {alarm.reason}"
             )
         for course in self.through:
             yield f"{self.session}: health: {course.line(self.period)}"
@@ -81,16 +81,16 @@ def channel_health(
     course: dict[str, list[tuple[int, float]]] = {}
     unjudged = 0
     estimates = list[EstimatedReading]()
-    for done, sample in enumerate(session.samples):
+    for count, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind
-        for each in monitor.found:
-            if each.evidence > 0.0 and monitor.shows(each):
-                called = monitor.sentences.called(each.cause)
-                course.setdefault(called, []).append((sample.index, each.evidence))
+        for finding in monitor.found:
+            if finding.evidence > 0.0 and monitor.shows(finding):
+                called = monitor.sentences.called(finding.cause)
+                course.setdefault(called, []).append((sample.index, finding.evidence))
         estimates += monitor.estimates
-        if watch is not None and done % EVERY == 0:
-            watch(done, len(session.samples))
+        if watch is not None and count % EVERY == 0:
+            watch(count, len(session.samples))
     return ChannelHealth(
         session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course,
         courses_of(estimates, plant),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
+from twinmatch.comparing import LEVEL_WORDS, Candidate, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, ExperimentTerms, Holding, TriedTwin, law_from, suited
 from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
@@ -34,18 +34,29 @@ HOLD = 240
 """Time for which a level is held, s, on a plant with a time constant of 100 s."""
 VISITED = 3.0
 """Margin around the visited levels, in the output's noise."""
-WINDOW = 10.0
-"""Length of the windows that are fitted where no verdicts are made, time constants of the plant."""
-MIN_WINDOW = 120
-"""Samples of such a window, at least."""
-MIN_FIT = 0.5
-"""Least fit to the worst output of the whole session."""
+
+
+@dataclass(frozen=True)
+class _SessionFits:
+    """How a session is fitted where no verdicts are made."""
+
+    window: float = 10.0
+    """Length of the windows that are fitted, time constants of the plant."""
+    shortest: int = 120
+    """Samples of such a window, at least."""
+    least_fit: float = 0.5
+    """Least fit to the worst output of the whole session."""
+    most_charge: float = 10.0
+    """How much more than the best a structure may be charged for: twice the logarithm of the odds, below
+    which a model has no support (Burnham and Anderson 2002)."""
+
+
+_FITS: Final = _SessionFits()
+
+
 SMOOTHED = 10.0
 """Time over which what a twin does not explain is averaged, s, on a plant with a time constant of 100 s: the
 noise counts by itself."""
-MAX_CHARGE = 10.0
-"""How much more than the best a structure may be charged for: twice the logarithm of the odds, below which a
-model has no support (Burnham and Anderson 2002)."""
 
 
 def read_law(path: Path, plant: type[Plant], period: float) -> Law:
@@ -59,8 +70,8 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
             return suited(load_law(str(path)), plant, period)
         return law_from(parse_json(read_text(path), str(path)), plant, period)
     except TwinmatchError as error:
-        known = str(error).startswith(str(path))
-        raise ControllerError(str(error) if known else f"{path}: {error}") from error
+        names_file = str(error).startswith(str(path))
+        raise ControllerError(str(error) if names_file else f"{path}: {error}") from error
 
 
 def resting_point(path: Path) -> FloatArray | None:
@@ -100,35 +111,36 @@ class Ground(NamedTuple):
         """Standard deviations of readings, shape (o,): from their second differences, since a plant hardly
         bends within three samples; of a reading that mostly repeats itself, that of the plant file."""
         bends = np.diff([sample.outputs for sample in self.session.samples], n=2, axis=0)
-        found = MEDIAN_TO_SIGMA * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
+        measured = MEDIAN_TO_SIGMA * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
         declared = np.array([output.noise for output in self.plant.outputs.values()])
-        return np.where(found > 0.0, found, declared)
+        return np.where(measured > 0.0, measured, declared)
 
     def seen_by(self, twin: TriedTwin) -> TriedTwin:
         """The twin with the noise of the recorded readings and what it does not explain of them; without the
         second where it does not follow the recording by its commands alone, as of an unstable plant."""
         noise = self.noise
         period = self.session.period
-        parts = [np.zeros((0, noise.size))]
-        mean = round(SMOOTHED * plant_scale(self.plant, period) / period)
+        averages = [np.zeros((0, noise.size))]
+        size = round(SMOOTHED * plant_scale(self.plant, period) / period)
         for window in stretches(self.session.samples, period):
-            if len(window) > SKIPPED + mean:
+            if len(window) > SKIPPED + size:
                 run = simulate_window(twin.parameters, window, law=None)
                 sums = np.cumsum(window.outputs[SKIPPED:] - run.outputs, axis=0)
-                parts.append((sums[mean:] - sums[:-mean]) / mean)
-        found = np.concatenate(parts)
+                averages.append((sums[size:] - sums[:-size]) / size)
+        unexplained = np.concatenate(averages)
         moved = np.ptp([sample.outputs for sample in self.session.samples], axis=0)
-        if not (found.size and (np.abs(found) <= moved).all()):
+        follows_recording = unexplained.size and (np.abs(unexplained) <= moved).all()
+        if not follows_recording:
             return replace(twin, noise=noise)
-        return replace(twin, noise=noise, unexplained=found)
+        return replace(twin, noise=noise, unexplained=unexplained)
 
     def unvisited(self, references: FloatArray) -> tuple[str, ...]:
         """A note for each output whose set-points, shape (N, r), are beyond its readings."""
-        seen = np.array([sample.outputs for sample in self.session.samples])
+        visited = np.array([sample.outputs for sample in self.session.samples])
         notes = []
         for j, (name, output) in enumerate(self.plant.outputs.items()):
-            low = seen[:, j].min()
-            high = seen[:, j].max()
+            low = visited[:, j].min()
+            high = visited[:, j].max()
             room = VISITED * output.noise
             asked = references[:, j].min(), references[:, j].max()
             if asked[0] < low - room or asked[1] > high + room:
@@ -177,25 +189,27 @@ def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTw
 
 
 def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
-    """Fits of the session's windows, each `WINDOW` time constants long, in the structures that explain the
-    whole session best. What changes from window to window, such as the room, shows as their differences."""
+    """Fits of the session's windows in the structures that explain the whole session best.
+
+    What changes from window to window, such as the room, shows as their differences.
+    """
     session = ground.session
     plant = ground.plant
     whole = stretches(session.samples, session.period)
     models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
     fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
-    if not best.fit[0] >= MIN_FIT:
+    if not best.fit[0] >= _FITS.least_fit:
         raise ControllerError(
             f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
-    kept = [fit.model for fit in fits if fit.charge <= best.charge + MAX_CHARGE]
-    parts = [part for w in whole for part in in_parts(plant, w, WINDOW, otherwise=WINDOW * HOLD)]
-    windows = [part for part in parts if len(part) >= MIN_WINDOW]
+    supported = [fit.model for fit in fits if fit.charge <= best.charge + _FITS.most_charge]
+    parts = [part for w in whole for part in in_parts(plant, w, _FITS.window, otherwise=_FITS.window * HOLD)]
+    windows = [part for part in parts if len(part) >= _FITS.shortest]
     members = []
-    total = len(windows) * len(kept)
-    for k, (model, window) in enumerate((model, window) for model in kept for window in windows):
+    total = len(windows) * len(supported)
+    for k, (model, window) in enumerate((model, window) for model in supported for window in windows):
         fit = fit_session(model, window)
         if watch is not None:
             watch(k + 1, total)
@@ -218,21 +232,20 @@ def remembered(
     """
     memory = Memory(path)
     name = ground.plant.name
-    own = "" if apart is None else digest_of(apart.samples)
-    found = start_from([each for each in memory.lessons(name, rig) if each.session != own], ground.plant)
-    if not found and apart is None and not memory.comparisons(name, rig):
-        raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
-    return tuple(
-        ground.seen_by(
-            TriedTwin(
-                each.name if each.name.startswith(CENTRE) else f"{CENTRE}: {each.name}",
-                each.parameters,
-                each.free,
-                each.known_covariance if each.name.startswith(CENTRE) else None,
-            )
-        )
-        for each in found
+    digest_apart = "" if apart is None else digest_of(apart.samples)
+    candidates = start_from(
+        [lesson for lesson in memory.lessons(name, rig) if lesson.session != digest_apart], ground.plant
     )
+    if not candidates and apart is None and not memory.comparisons(name, rig):
+        raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
+    return tuple(ground.seen_by(_tried_from_memory(candidate)) for candidate in candidates)
+
+
+def _tried_from_memory(candidate: Candidate) -> TriedTwin:
+    """A candidate from a memory as a twin to be tried; only the centre of all sessions has a spread."""
+    if candidate.name.startswith(CENTRE):
+        return TriedTwin(candidate.name, candidate.parameters, candidate.free, candidate.known_covariance)
+    return TriedTwin(f"{CENTRE}: {candidate.name}", candidate.parameters, candidate.free, None)
 
 
 def _require_trusted(name: str, verdict: Verdict | None) -> None:
@@ -322,19 +335,20 @@ def stepped_profile(
     """
     rows: list[tuple[float, int, float]] = []
     for text in steps:
-        name, _, rest = text.partition("=")
-        value, _, at = rest.partition("@")
+        name, _, level_and_time = text.partition("=")
+        value, _, time_text = level_and_time.partition("@")
         try:
-            rows.append((float(at or 0.0), list(plant.outputs).index(name), float(value)))
+            rows.append((float(time_text or 0.0), list(plant.outputs).index(name), float(value)))
         except ValueError:
             names = ", ".join(plant.outputs)
             raise ControllerError(
                 f"--set {text}: give NAME=LEVEL@S, with S in seconds and NAME of {names}"
             ) from None
-    now = level.copy()
-    plan = {}
-    for time, j, moved in sorted(rows):
-        now = now.copy()
-        now[j] = moved
-        plan[time] = now
-    return planned_profile(plant, level, [(t, *row.tolist()) for t, row in plan.items()], period, samples)
+    levels = level.copy()
+    levels_from = {}
+    for begin, j, new_level in sorted(rows):
+        levels = levels.copy()
+        levels[j] = new_level
+        levels_from[begin] = levels
+    plan = [(begin, *levels.tolist()) for begin, levels in levels_from.items()]
+    return planned_profile(plant, level, plan, period, samples)

@@ -37,8 +37,8 @@ class EstimatedCourse:
 
     def document(self) -> dict[str, Any]:
         """All of it, for JSON."""
-        own = ("signal", "unit", "first", "wide", "good", "values", "bands")
-        return {name: finite(getattr(self, name)) for name in own}
+        fields = ("signal", "unit", "first", "wide", "good", "values", "bands")
+        return {name: finite(getattr(self, name)) for name in fields}
 
     def line(self, period: float) -> str:
         """When it was read through, what it should read in the end, and for how long that was good."""
@@ -52,13 +52,15 @@ class EstimatedCourse:
 
 def courses_of(estimates: Iterable[EstimatedReading], plant: type[Plant]) -> tuple[EstimatedCourse, ...]:
     """The estimates, each time a sensor was read through as one course, in the order of their beginnings."""
-    found: dict[tuple[str, int], EstimatedCourse] = {}
-    for one in estimates:
-        declared = plant.outputs[one.signal]
-        text = declared.text or one.signal
-        own = EstimatedCourse(one.signal, text, declared.unit, one.since, one.wide, one.good)
-        own = found.setdefault((one.signal, one.since), own)
-        own.values.append(one.value)
-        own.bands.append(one.band)
-        own.readings.append(one.reading)
-    return tuple(found.values())
+    courses: dict[tuple[str, int], EstimatedCourse] = {}
+    for estimate in estimates:
+        declared = plant.outputs[estimate.signal]
+        text = declared.text or estimate.signal
+        course = EstimatedCourse(
+            estimate.signal, text, declared.unit, estimate.since, estimate.wide, estimate.good
+        )
+        course = courses.setdefault((estimate.signal, estimate.since), course)
+        course.values.append(estimate.value)
+        course.bands.append(estimate.band)
+        course.readings.append(estimate.reading)
+    return tuple(courses.values())

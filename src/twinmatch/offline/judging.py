@@ -55,8 +55,8 @@ def prefix_of(session: Session) -> str:
 def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
     """Parameters and candidates of files; without files the defaults and no candidates."""
     source = f"the file {config.name}" if config else "the defaults of this version"
-    held = read_settings(config, session.plant, driven=not session.has_reference)
-    settings = at_period(held, session.period, config)
+    read = read_settings(config, session.plant, driven=not session.has_reference)
+    settings = at_period(read, session.period, config)
     if config is None and not settings.plant.single and not _gives(settings, session):
         settings = at_period(read_settings(None, session.plant, driven=True), session.period, None)
         source += ", driven by the recorded inputs, which are not those of the loop in the plant file"
@@ -67,18 +67,20 @@ def _gives(settings: TwinSettings, session: Session) -> bool:
     """Whether their law gives the recorded inputs of the first minutes, within the noise of the drives."""
     law = settings.law
     samples, *_ = stretches(session.samples, session.period)
-    if law is None or len(samples) <= _BEGINS:
+    if law is None or len(samples) <= _LAW_CHECK.begin:
         return True
-    window = samples.part(samples.first, samples.first + min(len(samples), _SEEN) - 1)
-    state = law.state(window.part(window.first, window.first + _BEGINS - 1))
-    off = []
+    window = samples.part(samples.first, samples.first + min(len(samples), _LAW_CHECK.compared) - 1)
+    state = law.state(window.part(window.first, window.first + _LAW_CHECK.begin - 1))
+    errors = []
     for k in range(SKIPPED, len(window)):
-        references, outputs, inputs = (each[k] for each in (window.references, window.outputs, window.inputs))
+        references = window.references[k]
+        outputs = window.outputs[k]
+        inputs = window.inputs[k]
         commands, _ = commands_of(law.code, state, references[None], outputs[None])
-        off.append(commands[0] - inputs)
+        errors.append(commands[0] - inputs)
         state = law.follow(state, references, outputs, inputs)
     noise = [drive.noise for drive in settings.plant.drives.values()]
-    return bool((rms(np.array(off).T) <= noise).all())
+    return bool((rms(np.array(errors).T) <= noise).all())
 
 
 def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
@@ -88,8 +90,8 @@ def recorded_terms(session: Session, config: Path | None = None, candidates: Pat
     prefix = prefix_of(session)
     matching, _ = _settings(session, f"{prefix}matcher")
     settings, file = _settings(session, f"{prefix}discriminator")
-    given = tuple(read_candidates(candidates)) if candidates else _given(session, file)
-    return Terms(settings, given, matching, "those recorded with the session")
+    initial_candidates = tuple(read_candidates(candidates)) if candidates else _given(session, file)
+    return Terms(settings, initial_candidates, matching, "those recorded with the session")
 
 
 def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
@@ -120,10 +122,19 @@ def _given(session: Session, path: str) -> tuple[Candidate, ...]:
     return tuple(parse_candidates(text, f"session {session.name}: candidates"))
 
 
-_BEGINS: Final = 60
-"""Samples from which the state of a law is found …"""
-_SEEN: Final = 900
-"""… and on which its commands are compared with the recorded ones."""
+@dataclass(frozen=True)
+class _LawCheck:
+    """Samples on which a law is compared with a recording."""
+
+    begin: int = 60
+    """From these the state of the law is found."""
+    compared: int = 900
+    """On these, those of the beginning included, its commands are compared with the recorded ones."""
+
+
+_LAW_CHECK: Final = _LawCheck()
+
+
 Watch = Callable[[int, int], None]
 """Called with (samples done, total) every `EVERY` samples."""
 
@@ -161,7 +172,7 @@ def judge(
         session.name,
         session.samples,
         terms.settings,
-        given=terms.given,
+        initial_candidates=terms.given,
         matching=terms.matching,
         notes=session.notes,
         trials=_trials(session),
@@ -175,7 +186,7 @@ def _trials(session: Session) -> dict[int, float]:
     name = f"{prefix_of(session)}plant/law"
     reports = map(decoded, session.messages([name]) if name in session.counts else ())
     driving = [report for report in reports if report.first]
-    return {one.first: one.sample if one.phase_name == "back" else math.inf for one in driving}
+    return {report.first: report.sample if report.phase_name == "back" else math.inf for report in driving}
 
 
 def judge_samples(
@@ -183,7 +194,7 @@ def judge_samples(
     samples: Sequence[Sample],
     settings: TwinSettings,
     *,
-    given: Sequence[Candidate] = (),
+    initial_candidates: Sequence[Candidate] = (),
     matching: TwinSettings | None = None,
     notes: Sequence[str] = (),
     trials: Mapping[int, float] = MappingProxyType({}),
@@ -195,7 +206,7 @@ def judge_samples(
     `matching` are separate settings for matches, if any; `beside` is called after every sample with the twin
     in its current state, the sample and the outcome.
     """
-    twin = Twin(settings, given, matching=matching)
+    twin = Twin(settings, initial_candidates, matching=matching)
     for first, last in trials.items():
         twin.discriminator.tell_of_trial(first, last)
     matches: list[MatchReport] = []
@@ -203,7 +214,7 @@ def judge_samples(
     settled: list[Sample] = []
     estimates: list[EstimatedReading] = []
     with held_interrupts() as check_interrupt:
-        for done, sample in enumerate(samples):
+        for count, sample in enumerate(samples):
             outcome = twin.push(sample)
             if outcome.match is not None:
                 matches.append(outcome.match)
@@ -212,14 +223,17 @@ def judge_samples(
             estimates += outcome.estimates
             if beside is not None:
                 beside(twin, sample, outcome)
-            if watch is not None and done % EVERY == 0:
-                watch(done, len(samples))
+            if watch is not None and count % EVERY == 0:
+                watch(count, len(samples))
             check_interrupt()
-        held = stretches([one for one in settled if one.usable], settings.period)
-        summary = summarise(held, verdicts, settings.law, notes)
-    stamps = {one.index: one.stamp for one in settled}
+        usable = [sample for sample in settled if sample.usable]
+        without_gaps = stretches(usable, settings.period)
+        summary = summarise(without_gaps, verdicts, settings.law, notes)
+    stamps = {sample.index: sample.stamp for sample in settled}
     courses = courses_of(estimates, settings.plant)
-    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held, stamps, courses)
+    return Judgement(
+        name, samples, settings, tuple(matches), tuple(verdicts), summary, without_gaps, stamps, courses
+    )
 
 
 LEVELS = (0.2, 0.6, 0.3)

@@ -55,7 +55,7 @@ class Prospect(NamedTuple):
 def prospects(
     session: Session,
     terms: Terms,
-    at: Collection[int],
+    indices: Collection[int],
     *,
     candidate: str | None = None,
     whole: bool = False,
@@ -71,7 +71,7 @@ def prospects(
     Raises:
         ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
-    wanted = samples_at(session, at)
+    wanted = samples_at(session, indices)
     places = [place for place, sample in enumerate(session.samples) if sample.index in wanted]
     if not places:
         return {}
@@ -81,10 +81,12 @@ def prospects(
     while True:
         begin = max(first - reach, 0)
         middle = (begin + first) // 2
-        taken = range(begin, ends)
-        found = _run(session, terms, taken, wanted, middle=middle, candidate=candidate, watch=watch)
-        if found is not None:
-            return found
+        places_to_run = range(begin, ends)
+        prospect_of = _run(
+            session, terms, places_to_run, wanted, middle=middle, candidate=candidate, watch=watch
+        )
+        if prospect_of is not None:
+            return prospect_of
         reach *= _FARTHER
 
 
@@ -101,7 +103,7 @@ def _run(
     """Run the samples at these places through the twin; None if it has to begin earlier, since there is no
     candidate at the one in the `middle`, or not the one asked for at a wanted sample."""
     samples = session.samples
-    found = {}
+    prospect_of = {}
     taught = list[Verdict]()
     begin = places.start
     ends = places.stop
@@ -119,20 +121,22 @@ def _run(
                     return None
                 if not forecaster.names:
                     raise _no_candidate(session.name, twin, samples[place:])
-                found[sample.index] = _prospect(forecaster, sample.index, candidate, tuple(taught), since)
+                prospect_of[sample.index] = _prospect(
+                    forecaster, sample.index, candidate, tuple(taught), since
+                )
             if watch is not None and (place - begin) % EVERY == 0:
                 watch(place - begin, ends - begin)
             check_interrupt()
-    return found
+    return prospect_of
 
 
-def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
+def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
     """The samples with these indices.
 
     Raises:
         ForecastError: the session does not have one of them.
     """
-    wanted = set(at)
+    wanted = set(indices)
     by_index = {sample.index: sample for sample in session.samples if sample.index in wanted}
     absent = sorted(wanted - by_index.keys())
     if absent:
@@ -172,10 +176,10 @@ def _prospect(
     return Prospect(outlook, leader, forecaster.confidence, taught, since)
 
 
-def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
+def _no_candidate(session: str, twin: Twin, remaining: Sequence[Sample]) -> ForecastError:
     """The error for a sample without candidates, with the first sample that has one."""
-    absent = f"session {session}: there is no candidate at sample {rest[0].index}"
-    for sample in rest[1:]:
+    absent = f"session {session}: there is no candidate at sample {remaining[0].index}"
+    for sample in remaining[1:]:
         twin.push(sample)
         if twin.discriminator.forecaster.names:
             return ForecastError(f"{absent}; there is one from sample {sample.index} on")

@@ -29,16 +29,16 @@ def held_interrupts() -> Iterator[Callable[[], None]]:
     Python may raise it while a compiled loop converts its arguments or its result, where it is not handled:
     the loop then fails with another error, or the process crashes.
     """
-    held = threading.Event()
+    interrupted = threading.Event()
 
     def check() -> None:
-        if held.is_set():
+        if interrupted.is_set():
             raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
         yield check
         return
-    before = signal.signal(signal.SIGINT, lambda *_: held.set())
+    before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     try:
         yield check
     finally:
@@ -63,21 +63,21 @@ def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecuto
 
     before = set(multiprocessing.active_children())
     context = multiprocessing.get_context("fork" if forked else "spawn")
-    made = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+    executor = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
     finished = False
     try:
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by the new processes
         try:
-            made.submit(os.getpid)  # the first task starts them
+            executor.submit(os.getpid)  # the first task starts them
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        yield made
+        yield executor
         finished = True
     finally:
         if not finished:
             for process in set(multiprocessing.active_children()) - before:
                 process.terminate()
-        made.shutdown(wait=True, cancel_futures=True)
+        executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _begin() -> None:
@@ -111,21 +111,21 @@ class Beside:
         A task that the second process has not begun by then, or has died of, is done by the caller. So both
         processes have work if results are asked for from last to first.
         """
-        here = partial(task, *args, **kwargs)
+        in_this_process = partial(task, *args, **kwargs)
         if self._second is None:
-            return here
+            return in_this_process
         from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
 
         try:
-            given = self._second.submit(task, *args, **kwargs)
+            future = self._second.submit(task, *args, **kwargs)
         except BrokenProcessPool:
-            return here
+            return in_this_process
 
         def result() -> R:
             try:
-                return here() if given.cancel() else given.result()
+                return in_this_process() if future.cancel() else future.result()
             except BrokenProcessPool:
-                return here()
+                return in_this_process()
 
         return result
 

@@ -33,9 +33,9 @@ def memory_file(memory: Path | None, rig: str, plant: str) -> Path:
         return default_file(find_plant(plant).name, rig)
     having = [path for path in default_files() if path.stem.endswith(f"@{rig}")]
     if len(having) != 1:
-        known = f"rigs of this name: {', '.join(path.stem for path in having) or 'none'}"
+        rigs = f"rigs of this name: {', '.join(path.stem for path in having) or 'none'}"
         raise MemoryFaultError(
-            f"memory of rig {rig!r}: {known}; name the plant with --plant, or give --memory"
+            f"memory of rig {rig!r}: {rigs}; name the plant with --plant, or give --memory"
         )
     return having[0]
 
@@ -46,7 +46,9 @@ def remembered_start(path: Path, rig: str, plant: str, excluded: Collection[str]
     Raises:
         MemoryFaultError: the memory cannot be used, or holds several plants and none is named.
     """
-    lessons = [one for one in Memory(path).lessons(rig=rig or None) if one.name not in excluded]
+    lessons = [
+        remembered for remembered in Memory(path).lessons(rig=rig or None) if remembered.name not in excluded
+    ]
     kinds = sorted({lesson.plant for lesson in lessons})
     if not lessons:
         return RememberedStart((), f"{path}: nothing is remembered yet")
@@ -62,8 +64,8 @@ def remembered_start(path: Path, rig: str, plant: str, excluded: Collection[str]
     sessions = len({lesson.session for lesson in lessons if lesson.plant == kind.name})
     structure = candidates[0].parameters.model.structure_name
     count = "1 session is" if sessions == 1 else f"{sessions} sessions are"
-    taken = f"{count} remembered, the twin is expected in the structure {structure!r}"
-    return RememberedStart(tuple(candidates), f"{path}: {taken}")
+    content = f"{count} remembered, the twin is expected in the structure {structure!r}"
+    return RememberedStart(tuple(candidates), f"{path}: {content}")
 
 
 def _why_nothing(lessons: Collection[Lesson], plant: str) -> str:

@@ -47,10 +47,10 @@ def shown_twin(verdict: Verdict | None) -> ShownTwin | None:
     """The leader, or the nominal candidate in old recordings without leaders; None without both."""
     if verdict is None:
         return None
-    known = {c.name: c.parameters for c in verdict.candidates}
-    known |= {f.name: f.parameters for f in verdict.forecasts}
+    parameters = {c.name: c.parameters for c in verdict.candidates}
+    parameters |= {f.name: f.parameters for f in verdict.forecasts}
     name = verdict.leader or verdict.nominal
-    return ShownTwin(name, known[name]) if name in known else None
+    return ShownTwin(name, parameters[name]) if name in parameters else None
 
 
 class TrustRange(NamedTuple):
@@ -74,9 +74,9 @@ class TrustRange(NamedTuple):
         return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
 
 
-def trust_range(held: Sequence[tuple[float, float]], unit: str, decimals: int) -> TrustRange | None:
+def trust_range(ranges: Sequence[tuple[float, float]], unit: str, decimals: int) -> TrustRange | None:
     """Where forecasts have held, one decimal place coarser than the output's; None if nowhere."""
-    return TrustRange(tuple(held), unit, max(0, decimals - 1)) if held else None
+    return TrustRange(tuple(ranges), unit, max(0, decimals - 1)) if ranges else None
 
 
 class LevelStretch(NamedTuple):
@@ -185,12 +185,12 @@ class Tally:
         sample = max(verdict.sample, self._first)
         since = verdict.fault_since
         fault = verdict.named_fault
-        now = LevelStretch(self._first, sample, verdict.level, fault)
+        stretch = LevelStretch(self._first, sample, verdict.level, fault)
         if not self.stretches:
-            self.stretches.append(now)
+            self.stretches.append(stretch)
             return
         last = self.stretches[-1]
-        if last[2:] == now[2:]:
+        if last[2:] == stretch[2:]:
             self.stretches[-1] = last._replace(last=sample)
             return
         if last.fault and last.fault != fault:
@@ -199,7 +199,7 @@ class Tally:
         if fault not in {"", last.fault} and since is not None and since <= verdict.sample:
             begin = max(since, last.first + 1)
             last = last._replace(last=begin - 1)
-        self.stretches[-1:] = [last, now._replace(first=begin, last=max(sample, begin))]
+        self.stretches[-1:] = [last, stretch._replace(first=begin, last=max(sample, begin))]
         del self.stretches[:-MAX_STRETCHES]
 
 
@@ -264,8 +264,8 @@ def conclude(
     )
 
 
-def _range(parameters: Parameters, held: Sequence[tuple[float, float]]) -> TrustRange | None:
+def _range(parameters: Parameters, ranges: Sequence[tuple[float, float]]) -> TrustRange | None:
     """Where forecasts have held; of several outputs the levels of the first."""
-    first, *others = parameters.model.plant.outputs.values()
-    unit = f"{first.unit} of {first.text or first.name}" if others else first.unit
-    return trust_range(held, unit, first.decimals)
+    first, *further_outputs = parameters.model.plant.outputs.values()
+    unit = f"{first.unit} of {first.text or first.name}" if further_outputs else first.unit
+    return trust_range(ranges, unit, first.decimals)

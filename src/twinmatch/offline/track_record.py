@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,19 @@ MIN_REPRODUCED = 0.95
 """Least share of the recorded commands that a law has to give if it is to be the one that ran."""
 
 
+class _RecordedRows(NamedTuple):
+    """The signals of every period of a session, those of the last recorded one where a sample is lost."""
+
+    references: FloatArray
+    """Shape (N, r)."""
+    outputs: FloatArray
+    """Shape (N, o)."""
+    inputs: FloatArray
+    """Shape (N, m)."""
+    is_recorded: FloatArray
+    """1 where a sample was recorded, 0 where it is lost, shape (N,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class LawThatRan:
     """A session in which a law ran, beside the answers from earlier ones.
@@ -51,16 +65,17 @@ class LawThatRan:
             )
 
     @cached_property
-    def _rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Set-points, readings and commands of every period, the last one where a sample is lost; and which
-        were recorded."""
+    def _rows(self) -> _RecordedRows:
         samples = [sample for sample in self.ground.session.samples if sample.usable]
         index = np.array([sample.index for sample in samples])
         grid = np.arange(index[0], index[-1] + 1)
-        at = np.searchsorted(index, grid, side="right") - 1
-        of = ([getattr(s, name) for s in samples] for name in ("references", "outputs", "inputs"))
-        r, y, u = (np.array(rows, dtype=np.float64)[at] for rows in of)
-        return r, y, u, (index[at] == grid).astype(np.float64)
+        newest = np.searchsorted(index, grid, side="right") - 1
+        return _RecordedRows(
+            references=np.array([sample.references for sample in samples], dtype=np.float64)[newest],
+            outputs=np.array([sample.outputs for sample in samples], dtype=np.float64)[newest],
+            inputs=np.array([sample.inputs for sample in samples], dtype=np.float64)[newest],
+            is_recorded=(index[newest] == grid).astype(np.float64),
+        )
 
     @property
     def _acting(self) -> LinearLaw | TwoLevel:
@@ -79,22 +94,23 @@ class LawThatRan:
 
     def question(self, holding: Holding, draws: int) -> ControllerQuestion:
         """The law over the set-points of the session, from its beginning."""
-        references = self._rows[0]
+        references = self._rows.references
         state = None if self._rests else self._ran.state
         return ControllerQuestion(self._acting, references, references[0], holding, draws, state=state)
 
     @property
     def _rests(self) -> bool:
         """Whether it begins with its outputs at their set-points."""
-        references, readings = self._rows[:2]
-        return bool((np.abs(readings[0] - references[0]) <= VISITED * self.ground.noise).all())
+        rows = self._rows
+        deviations = np.abs(rows.outputs[0] - rows.references[0])
+        return bool((deviations <= VISITED * self.ground.noise).all())
 
     def begun(self, twins: Sequence[TriedTwin]) -> list[TriedTwin]:
         """The twins where the session begins: at rest at its set-points, or at its first readings."""
         if self._rests:
             return [replace(twin, states=None) for twin in twins]
-        y = self._rows[1][0]
-        u = self._rows[2][0]
+        y = self._rows.outputs[0]
+        u = self._rows.inputs[0]
         return [replace(twin, states=begin(twin.parameters, y), inputs=u) for twin in twins]
 
     def comparison(self, answer: ControllerAnswer, learned: Sequence[Ground], rig: str) -> LawComparison:
@@ -106,6 +122,6 @@ class LawThatRan:
             plant=self.ground.plant.name,
             rig=rig,
             law=self.law_name,
-            learned=", ".join(each.session.name for each in learned),
-            **compared(answer, self._rows[1], self._rows[3], self.ground.noise),
+            learned=", ".join(ground.session.name for ground in learned),
+            **compared(answer, self._rows.outputs, self._rows.is_recorded, self.ground.noise),
         )

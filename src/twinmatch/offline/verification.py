@@ -50,9 +50,9 @@ class Difference:
     computed: Any
 
     def __str__(self) -> str:
-        whose = f", candidate {self.candidate}" if self.candidate else ""
+        of_candidate = f", candidate {self.candidate}" if self.candidate else ""
         return (
-            f"{self.what} {self.number} at sample {self.sample}{whose}: {self.field} was recorded as "
+            f"{self.what} {self.number} at sample {self.sample}{of_candidate}: {self.field} was recorded as "
             f"{self.recorded!r} and is {self.computed!r} now"
         )
 
@@ -156,8 +156,13 @@ def _compute(record: Verdict | MatchReport, stamp: int) -> Tree:
 
 def _once(matches: list[Tree]) -> list[Tree]:
     """The matches without repeated ones: a match requested twice is answered twice."""
-    pairs: Iterator[tuple[Tree, Tree]] = zip(matches, [{}, *matches], strict=False)
-    return [match for match, before in pairs if any(True for _ in differences(match, before))]
+    distinct = []
+    before: Tree = {}
+    for match in matches:
+        if next(differences(match, before), None) is not None:
+            distinct.append(match)
+        before = match
+    return distinct
 
 
 def _messages(session: Session, name: str) -> Iterator[Any]:
@@ -173,18 +178,20 @@ class _Comparison:
         self._apart: set[str] = set()
         self._worded: set[str] = set()
 
-    def first(self, what: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
-        """The first difference, if there is one."""
-        for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
-            for field, was, now in self._differences(one, other):
-                return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
+    def first(self, kind: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
+        """The first difference between records of a kind, match or verdict, if there is one."""
+        for number, (before, after) in enumerate(zip(recorded, computed, strict=False), 1):
+            departure = next(self._differences(before, after), None)
+            if departure is not None:
+                field, was, is_now = departure
+                return Difference(kind, number, before["sample"], _owner(before, field), field, was, is_now)
         number = min(len(recorded), len(computed))
         if len(recorded) > number:
             sample = recorded[number]["sample"]
-            return Difference(what, number + 1, sample, "", "all of it", "there", "absent")
+            return Difference(kind, number + 1, sample, "", "all of it", "there", "absent")
         if len(computed) > number and not self._at_the_end(computed[number]):
             sample = computed[number]["sample"]
-            return Difference(what, number + 1, sample, "", "all of it", "absent", "there")
+            return Difference(kind, number + 1, sample, "", "all of it", "absent", "there")
         return None
 
     def notes(self) -> list[str]:
@@ -198,15 +205,16 @@ class _Comparison:
                 notes.append(f"{why} were not compared: {', '.join(sorted(fields))}")
         return notes
 
-    def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:
+    def _differences(self, recorded: Tree, computed: Tree) -> Iterator[tuple[str, Any, Any]]:
+        """Field, recorded and computed value of each difference that counts."""
         apart: set[str] = set()
-        departures = list(differences(one, other, apart=apart))
+        departures = list(differences(recorded, computed, apart=apart))
         self._apart |= {field.removeprefix("candidates.") for field in apart}
-        for field, was, now in departures:
+        for field, was, is_now in departures:
             if field.rsplit(".", 1)[-1] in SENTENCES:
                 self._worded.add(field)
             else:
-                yield field, was, now
+                yield field, was, is_now
 
     def _at_the_end(self, tree: Tree) -> bool:
         """Whether the session may have ended before this could be published."""
@@ -233,16 +241,22 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     Raises:
         ForeignError: they differ.
     """
-    able = [name for name, held in plant.structures.items() if held.external and not held.external.lost]
-    then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
-    missing = [s for s in then if s not in now]
-    more = [s for s in now if s not in then]
+    recorded_fmus = [structure for structure in recorded if is_fmu(structure)]
+    usable_fmus = [
+        name
+        for name, structure in plant.structures.items()
+        if structure.external and not structure.external.lost and is_fmu(name)
+    ]
+    missing = [name for name in recorded_fmus if name not in usable_fmus]
+    additional = [name for name in usable_fmus if name not in recorded_fmus]
     if missing:
-        other = [s for s in more if unmarked(s) == unmarked(missing[0])]
-        what = f"; the one given, {other[0]!r}, is another FMU or has another map" if other else ""
+        same_name = [name for name in additional if unmarked(name) == unmarked(missing[0])]
+        hint = f"; the one given, {same_name[0]!r}, is another FMU or has another map" if same_name else ""
         raise ForeignError(
-            f"session {name}: was judged with the structure {missing[0]!r}, an FMU{what}; give that FMU's "
+            f"session {name}: was judged with the structure {missing[0]!r}, an FMU{hint}; give that FMU's "
             "map file with --allow-fmu FILE"
         )
-    if more:
-        raise ForeignError(f"session {name}: was judged without the FMU {more[0]!r}; leave out --allow-fmu")
+    if additional:
+        raise ForeignError(
+            f"session {name}: was judged without the FMU {additional[0]!r}; leave out --allow-fmu"
+        )

@@ -99,16 +99,18 @@ def parse_candidates(
 
 
 def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Candidate:
-    own = decoded(entry, _Entry, place, CandidateFileError)
-    others = {name: value for name, value in entry.items() if name not in _Entry.__struct_fields__}
+    written = decoded(entry, _Entry, place, CandidateFileError)
+    further_entries = {name: value for name, value in entry.items() if name not in _Entry.__struct_fields__}
     try:
-        numbers = {name: decoded(value, float, name) for name, value in others.items()}
-        name, plant, structure = (_word(key, getattr(own, key)) for key in ("name", "plant", "structure"))
+        numbers = {name: decoded(value, float, name) for name, value in further_entries.items()}
+        name = _word("name", written.name)
+        plant = _word("plant", written.plant)
+        structure = _word("structure", written.structure)
         parameters = parameters_from(find(plant).name, structure, numbers)
-        free, covariance = _spread(own.deviations, parameters)
+        free, covariance = _spread(written.deviations, parameters)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
-    values = np.atleast_1d(own.operating_point).tolist()
+    values = np.atleast_1d(written.operating_point).tolist()
     outputs = parameters.model.plant.outputs
     if len(values) != len(outputs):
         raise CandidateFileError(
@@ -143,14 +145,15 @@ def _spread(entry: Mapping[str, Any], parameters: Parameters) -> tuple[tuple[str
 def candidates_text(candidates: Sequence[Candidate]) -> str:
     """The file of these candidates: the inverse of `parse_candidates`."""
     entries = []
-    for each in candidates:
-        model = each.parameters.model
-        deviations = np.sqrt(np.diag(each.covariance)).tolist() if each.remembered else []
-        point = np.array(each.operating_point).tolist()
-        entry: dict[str, Any] = {"name": each.name, "operating_point": point}
+    for candidate in candidates:
+        model = candidate.parameters.model
+        deviations = np.sqrt(np.diag(candidate.covariance)).tolist() if candidate.remembered else []
+        point = np.array(candidate.operating_point).tolist()
+        entry: dict[str, Any] = {"name": candidate.name, "operating_point": point}
         entry |= {"plant": written_name(model.plant), "structure": model.structure_name}
-        entry |= {name: each.parameters[name] for name in model.names}
-        entry |= {"deviations": dict(zip(each.free, deviations, strict=True))} if deviations else {}
+        entry |= {name: candidate.parameters[name] for name in model.names}
+        if deviations:
+            entry["deviations"] = dict(zip(candidate.free, deviations, strict=True))
         entries.append(entry)
     return yaml.safe_dump({"candidates": entries}, allow_unicode=True, sort_keys=False)
 

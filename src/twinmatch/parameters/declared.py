@@ -104,53 +104,59 @@ def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Setting,
         names: fill in what texts and units leave open, such as the plant's `y`.
     """
     names = {"y": "", "u": "", "note": "", **names}
-    return tuple(
-        Setting(
-            prefix + it.name,
-            list(held) if isinstance(held := getattr(record, it.name), tuple) else held,
-            it.metadata["text"].format_map(names),
-            it.metadata["unit"].format_map(names),
-            it.metadata["low"],
-            it.metadata["high"],
+    settings = []
+    for setting in fields(record):
+        if "text" not in setting.metadata:
+            continue
+        default = getattr(record, setting.name)
+        settings.append(
+            Setting(
+                prefix + setting.name,
+                list(default) if isinstance(default, tuple) else default,
+                setting.metadata["text"].format_map(names),
+                setting.metadata["unit"].format_map(names),
+                setting.metadata["low"],
+                setting.metadata["high"],
+            )
         )
-        for it in fields(record)
-        if "text" in it.metadata
-    )
+    return tuple(settings)
 
 
 def given_to(record: Record, values: Mapping[str, Any], prefix: str = "") -> Record:
     """An object of a dataclass with checked values for the settings that it declares."""
-    names = [it.name for it in fields(record) if "text" in it.metadata]
+    names = [setting.name for setting in fields(record) if "text" in setting.metadata]
     return replace(record, **{name: values[prefix + name] for name in names})
 
 
 def group(values: Mapping[str, Any], prefix: str) -> Values:
     """The values whose names start with a prefix, without it."""
-    return {name.removeprefix(prefix): it for name, it in values.items() if name.startswith(prefix)}
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
-def check(node: str, table: Sequence[Setting], given: Mapping[str, Any]) -> Values:
+def check(node: str, table: Sequence[Setting], given_values: Mapping[str, Any]) -> Values:
     """All parameters of a node: those given, checked, and the defaults of the others.
 
     Raises:
         ParameterError: a name that is not in the table, a value of another type or out of its range.
     """
-    known = {parameter.name: parameter for parameter in table}
-    for name in given:
+    setting_of = {parameter.name: parameter for parameter in table}
+    for name in given_values:
         if name.startswith(QOS) and not name.startswith(BUILT_IN):
             raise ParameterError(
                 f"{node}: {name[:80]} cannot be set: reliability and depth of a topic are guaranteed "
                 "(docs/subscribing.md); leave it out"
             )
-        if name not in known and not name.startswith(BUILT_IN):
-            near = difflib.get_close_matches(name, known, n=1)
+        if name not in setting_of and not name.startswith(BUILT_IN):
+            near = difflib.get_close_matches(name, setting_of, n=1)
             hint = (
-                f"did you mean {near[0]}?" if near else f"choose from: {', '.join(sorted(known)) or 'none'}"
+                f"did you mean {near[0]}?"
+                if near
+                else f"choose from: {', '.join(sorted(setting_of)) or 'none'}"
             )
             raise ParameterError(f"{node}: there is no parameter {name[:80]}; {hint}")
     return {
-        name: parameter.accept(given[name], node) if name in given else parameter.default
-        for name, parameter in known.items()
+        name: parameter.accept(given_values[name], node) if name in given_values else parameter.default
+        for name, parameter in setting_of.items()
     }
 
 
@@ -163,15 +169,15 @@ def sections_of(path: Path, *nodes: str) -> Values:
     """
     content = read_yaml(path)
     tree = content if isinstance(content, dict) else {}
-    given: Values = {}
+    parameters_of_nodes: Values = {}
     for node in (present := [node for node in nodes if tree.get(node) is not None]):
         parameters = tree[node].get("ros__parameters") if isinstance(tree[node], dict) else None
         if not isinstance(parameters, dict):
             raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
-        given |= flattened(parameters)
+        parameters_of_nodes |= flattened(parameters)
     if not present:
         raise ParameterError(f"{path}: has no section {' or '.join(nodes)}; see the files in config/")
-    return given
+    return parameters_of_nodes
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -44,10 +44,10 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     wait = "Longest wait for topics of ROS without publisher; 0: for ever."
     maps = []
     limits = []
-    for name, known in signals.items():
-        unit = f", in {known.unit}" if known.unit else ""
+    for name, signal in signals.items():
+        unit = f", in {signal.unit}" if signal.unit else ""
         optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
-        text = f"Place (topic and field) of the {name} ({known.text or known.name}){unit}{optional}."
+        text = f"Place (topic and field) of the {name} ({signal.text or signal.name}){unit}{optional}."
         maps.append(Setting(f"map.{name}", "", text))
         age = round(ages.get(name, _SLOWLY) * step, 9)
         text = f"Age from which a value of the {name} is stale; 0: never."
@@ -67,30 +67,30 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     )
 
 
-def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
     """The table for the plant selected by the given values, and these by its own names of the signals.
 
     Raises:
         ParameterError: there is no such plant, or a signal is given by two of its names.
     """
     try:
-        plant = find_plant(str(given.get("plant", Peltier.name)))
+        plant = find_plant(str(given_values.get("plant", Peltier.name)))
     except PlantError as error:
         raise ParameterError(f"{place}: {error}") from error
     called = signal_called(plant)
     used = dict[str, str]()
-    for name in given:
+    for name in given_values:
         kind, _, signal = name.partition(".")
-        own = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
-        if own in used:
-            raise ParameterError(f"{place}: {used[own]} and {name} are the same signal; give it once")
-        used[own] = name
-    values = {own: given[name] for own, name in used.items()}
+        usual_name = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
+        if usual_name in used:
+            raise ParameterError(f"{place}: {used[usual_name]} and {name} are the same signal; give it once")
+        used[usual_name] = name
+    values = {usual_name: given_values[name] for usual_name, name in used.items()}
     if isinstance(pacer := values.get("paced_by"), str):
         values["paced_by"] = called.get(pacer, pacer)
-    period = given.get("period")
-    known = float(period) if isinstance(period, int | float) and period > 0 else None
-    return sampler_table(plant, known), values
+    period = given_values.get("period")
+    valid_period = float(period) if isinstance(period, int | float) and period > 0 else None
+    return sampler_table(plant, valid_period), values
 
 
 def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]:
@@ -112,8 +112,8 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
     closed = loop.references if sources.keys() & {*loop.references} else ()
     for name in (*loop.outputs, *loop.inputs, *closed):
         if name not in sources:
-            more = "; give all set-points, or none" if name in closed else ""
-            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data{more}"
+            hint = "; give all set-points, or none" if name in closed else ""
+            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data{hint}"
             raise ParameterError(msg)
     return sources
 
@@ -126,12 +126,12 @@ def _parse_of(values: Mapping[str, Any]) -> Callable[[str], Channel]:
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
     """The limits of each mapped signal."""
     plant = find_plant(values["plant"])
-    known = signals_of(plant)
+    signals = signals_of(plant)
     outputs = LoopNames.of(plant).outputs
 
     def limits(name: str) -> Limits:
-        low = known[name].low
-        high = known[name].high
+        low = signals[name].low
+        high = signals[name].high
         slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
         return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name in outputs)
 
@@ -185,29 +185,32 @@ def source_of(values: Mapping[str, Any]) -> Open | None:
     return partial(protocol_of(url).open_source, url, values["period"]) if url else None
 
 
-def sampler_values(config: Path | None, said: SignalMap, source: str = "") -> tuple[Values, bool]:
+def sampler_values(config: Path | None, signal_map: SignalMap, source: str = "") -> tuple[Values, bool]:
     """The sampler's parameters, and whether it has the time of /clock.
 
     Args:
         config: parameter file with a section `sampler`; None: there is none.
-        said: plant, sampling period and map of the command line; they override the file, as does …
-        source: the URL of the source.
+        signal_map: plant, sampling period and map of the command line; they override the file.
+        source: the URL of the source; it overrides the file, too.
 
     Raises:
         TwinmatchError: one of them cannot be used.
     """
-    given = sections_of(config, SAMPLER) if config is not None else {}
-    given |= {"source": source} if source else {}
-    given |= {"plant": said.plant} if said.plant else {}
-    if said.period is not None:
-        given["period"] = said.period
+    given_values = sections_of(config, SAMPLER) if config is not None else {}
+    if source:
+        given_values["source"] = source
+    if signal_map.plant:
+        given_values["plant"] = signal_map.plant
+    if signal_map.period is not None:
+        given_values["period"] = signal_map.period
     place = str(config) if config is not None else "attach"
-    plant = find_plant(str(given.get("plant", "peltier")))
-    table, given = understood(place, given)
-    given |= {f"map.{signal}": source.text for signal, source in by_signal(plant, said.sources).items()}
-    values = check(place, table, given)
+    plant = find_plant(str(given_values.get("plant", "peltier")))
+    table, given_values = understood(place, given_values)
+    for signal, signal_source in by_signal(plant, signal_map.sources).items():
+        given_values[f"map.{signal}"] = signal_source.text
+    values = check(place, table, given_values)
     sources_of(place, values)
-    return values, bool(_SIM_TIME.accept(given.get(_SIM_TIME.name, False), place))
+    return values, bool(_SIM_TIME.accept(given_values.get(_SIM_TIME.name, False), place))
 
 
 def twin_beside(values: Mapping[str, Any], config: Path | None) -> TwinSettings:

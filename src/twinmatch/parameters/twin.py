@@ -74,12 +74,12 @@ def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> t
         return (period,)
     drives = plant.drives.values()
     u = joined_units(map(unit_of, drives))
-    y = joined_units(each.unit for each in plant.outputs.values())
-    lows, highs = zip(*(drive.limits for drive in drives), strict=True)
+    y = joined_units(output.unit for output in plant.outputs.values())
+    limits = _widest([drive.limits for drive in drives])
 
     def gain(name: str, text: str, unit: str = "", span: tuple[float, float] | None = None) -> Setting:
         values = [getattr(pid, name) for pid in pids]
-        low, high = span or (min(_span(v)[0] for v in values), max(_span(v)[1] for v in values))
+        low, high = span or _widest(list(map(_span, values)))
         return Setting(f"pid.{name}", one_or_each(values), text, unit, low, high)
 
     flag = "Derivative of the measurement instead of the error: no kick at set-point steps."
@@ -89,10 +89,15 @@ def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> t
         gain("integral", "Integral gain.", f"{u}/({y}·s)"),
         gain("derivative", "Derivative gain.", f"{u}·s/{y}"),
         gain("back_calculation", "Anti-windup gain.", "1/s", (0.0, 1e3)),
-        gain("low", "Lower output limit.", u, (min(lows), max(highs))),
-        gain("high", "Upper output limit.", u, (min(lows), max(highs))),
+        gain("low", "Lower output limit.", u, limits),
+        gain("high", "Upper output limit.", u, limits),
         gain("on_measurement", flag, span=(-math.inf, math.inf)),
     )
+
+
+def _widest(spans: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The range that holds all of these."""
+    return min(low for low, _ in spans), max(high for _, high in spans)
 
 
 def one_or_each(values: Sequence[Any]) -> Any:
@@ -117,11 +122,14 @@ def running_law(values: Mapping[str, Any], usual: Law | None) -> Law | None:
         return usual
     if count == 1:
         return PidGains(period=values["period"], **gains)
-    for name, given in gains.items():
-        if len(given) != count:
-            raise ParameterError(f"pid.{name} has {len(given)} values; give one for each of {count} loops")
-    each = [{name: given[k] for name, given in gains.items()} for k in range(count)]
-    return PidLoops.of(*(PidGains(period=values["period"], **one) for one in each))
+    for name, of_loops in gains.items():
+        if len(of_loops) != count:
+            raise ParameterError(f"pid.{name} has {len(of_loops)} values; give one for each of {count} loops")
+    pids = []
+    for k in range(count):
+        gains_of_loop = {name: of_loops[k] for name, of_loops in gains.items()}
+        pids.append(PidGains(period=values["period"], **gains_of_loop))
+    return PidLoops.of(*pids)
 
 
 def _span(default: float) -> tuple[float, float]:
@@ -199,54 +207,54 @@ def outputs_named(place: str, text: str, plant: type[Plant]) -> tuple[str, ...]:
     Raises:
         ParameterError: the plant has no such output.
     """
-    known = {unicodedata.normalize("NFKC", y.symbol): name for name, y in plant.outputs.items()}
-    known |= {name: name for name in plant.outputs}
+    name_of = {unicodedata.normalize("NFKC", y.symbol): name for name, y in plant.outputs.items()}
+    name_of |= {name: name for name in plant.outputs}
     words = text.split()
-    if wrong := next((word for word in words if word not in known), None):
+    if wrong := next((word for word in words if word not in name_of), None):
         outputs = " or ".join(plant.outputs)
         raise ParameterError(
             f"{place}: read_through has {wrong}, no output of plant {plant.name}; give {outputs}"
         )
-    return tuple(known[word] for word in words)
+    return tuple(name_of[word] for word in words)
 
 
-def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
     """The table for the plant and structure selected by the given values, and the values to check against it.
 
     Raises:
         ParameterError: there is no such plant or structure, or it lacks a given parameter.
     """
-    _refuse_renamed(place, given)
+    _refuse_renamed(place, given_values)
     try:
-        if given.get("allow_fmu"):
-            adopt_fmus(Path(str(given["allow_fmu"])))
-        plant = find_plant(str(given.get("plant", Peltier.name)))
-        named = given.get("structure")
+        if given_values.get("allow_fmu"):
+            adopt_fmus(Path(str(given_values["allow_fmu"])))
+        plant = find_plant(str(given_values.get("plant", Peltier.name)))
+        named = given_values.get("structure")
         model = plant.model(None if named is None else str(named))
-        table = _table(model, given)
+        table = _table(model, given_values)
     except PlantError as error:
         raise ParameterError(f"{place}: {error}") from error
-    return table, _without_absent(place, given, model)
+    return table, _without_absent(place, given_values, model)
 
 
-def _table(model: Model, given: Mapping[str, Any]) -> tuple[Setting, ...]:
+def _table(model: Model, given_values: Mapping[str, Any]) -> tuple[Setting, ...]:
     """The table for given values; what they have wrong is found when they are checked against it."""
-    table = partial(twin_table, model.plant, model.structure_name, closing_of(given))
-    known: dict[str, Any] = {
-        one.name: one.accept(given[one.name], "twin")
-        for one in table()
-        if one.name in {"period", "schedule.scale"} & given.keys()
+    table = partial(twin_table, model.plant, model.structure_name, closing_of(given_values))
+    accepted: dict[str, Any] = {
+        setting.name: setting.accept(given_values[setting.name], "twin")
+        for setting in table()
+        if setting.name in {"period", "schedule.scale"} & given_values.keys()
     }
-    return table(known.get("period"), known.get("schedule.scale", 1.0)) if known else table()
+    return table(accepted.get("period"), accepted.get("schedule.scale", 1.0)) if accepted else table()
 
 
-def twin_values(place: str, given: Mapping[str, Any]) -> Values:
+def twin_values(place: str, given_values: Mapping[str, Any]) -> Values:
     """All parameters: those given, checked, and the defaults of the others."""
-    table, kept = understood(place, given)
-    return check(place, table, kept)
+    table, checkable = understood(place, given_values)
+    return check(place, table, checkable)
 
 
-def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
+def recorded_values(place: str, recorded: Mapping[str, Any]) -> Values:
     """All parameters of a node as recorded in a session; names of earlier versions are accepted.
 
     A plant file or FMUs that a session names are not run: the plant and its structures must be known already.
@@ -254,15 +262,17 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
     Raises:
         ParameterError: as `twin_values`.
     """
-    kept = {name: value for name, value in _translate(given).items() if name != "allow_fmu"}
-    if "schedule.scale" not in kept and isinstance(period := kept.get("period", 1.0), int | float):
-        kept = _by_sample_time(period) | kept
-    if "plant" in kept:
+    translated = {name: value for name, value in _translate(recorded).items() if name != "allow_fmu"}
+    if "schedule.scale" not in translated and isinstance(
+        period := translated.get("period", 1.0), int | float
+    ):
+        translated = _by_sample_time(period) | translated
+    if "plant" in translated:
         try:
-            kept["plant"] = written_name(plant_named(str(kept["plant"])))
+            translated["plant"] = written_name(plant_named(str(translated["plant"])))
         except PlantError as error:
             raise ParameterError(f"{place}: {error}") from error
-    return twin_values(place, kept)
+    return twin_values(place, translated)
 
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
@@ -348,8 +358,8 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
         wanted["loop"] = UNKNOWN
     if path is None:
         return settings_from(twin_values("twin", wanted))
-    given = sections_of(path, "/**", "matcher", "discriminator", "/matcher", "/discriminator")
-    values = twin_values(str(path), wanted | given)
+    written = sections_of(path, "/**", "matcher", "discriminator", "/matcher", "/discriminator")
+    values = twin_values(str(path), wanted | written)
     try:
         settings = settings_from(values)
     except TwinmatchError as error:
@@ -420,8 +430,8 @@ def _plant(model: Model) -> tuple[Setting, ...]:
 
 def _noise(name: str, text: str, signals: Collection[Output | Drive]) -> Setting:
     """The noise of outputs or drives: a number, or one each of several."""
-    each = one_or_each([signal.noise for signal in signals])
-    return Setting(name, each, text, joined_units(map(unit_of, signals)), 1e-6, 1e6)
+    noises = one_or_each([signal.noise for signal in signals])
+    return Setting(name, noises, text, joined_units(map(unit_of, signals)), 1e-6, 1e6)
 
 
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
@@ -450,45 +460,46 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     )
 
 
-def _refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
-    for name, now in _RENAMED.items():
-        if name in given:
-            raise ParameterError(f"{place}: {name} is now called {' and '.join(now)}; rename it")
+def _refuse_renamed(place: str, given_values: Mapping[str, Any]) -> None:
+    for name, new_names in _RENAMED.items():
+        if name in given_values:
+            raise ParameterError(f"{place}: {name} is now called {' and '.join(new_names)}; rename it")
     for name, instead in _GONE.items():
-        if name in given:
+        if name in given_values:
             raise ParameterError(f"{place}: {name} is no longer used: {instead}; remove it")
 
 
-def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[str, Any]:
+def _without_absent(place: str, given_values: Mapping[str, Any], model: Model) -> dict[str, Any]:
     """The given values without zeros for what the structure lacks: earlier versions left parts out so.
 
     Raises:
         ParameterError: a parameter that this structure lacks has a value other than zero.
     """
-    kept = dict(given)
-    for name, value in given.items():
-        of = name.removeprefix(_START)
-        if of == name or of in model.declared or of not in model.plant.parameters:
+    remaining = dict(given_values)
+    for name, value in given_values.items():
+        parameter = name.removeprefix(_START)
+        if parameter == name or parameter in model.declared or parameter not in model.plant.parameters:
             continue
         if value:
             plant = model.plant
-            having = [s for s in plant.structures if of in plant.model(s).declared]
+            having = [s for s in plant.structures if parameter in plant.model(s).declared]
+            absent = f"structure {model.structure_name!r} has no {parameter}"
             raise ParameterError(
-                f"{place}: parameter {name} is {value}, but structure {model.structure_name!r} has no {of}; "
+                f"{place}: parameter {name} is {value}, but {absent}; "
                 f"choose a structure that has: {', '.join(having) or 'none'}"
             )
-        del kept[name]
-    return kept
+        del remaining[name]
+    return remaining
 
 
-def _translate(given: Mapping[str, Any]) -> dict[str, Any]:
-    kept = {name: value for name, value in given.items() if name not in {*_RENAMED, *_GONE}}
+def _translate(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    translated = {name: value for name, value in recorded.items() if name not in {*_RENAMED, *_GONE}}
     for old, names in _RENAMED.items():
-        if old in given:
-            kept |= dict.fromkeys(names, given[old])
-    if "pid.limit" in given:
-        kept["pid.low"] = -given["pid.limit"]
-    if "structure" not in kept and kept.get("plant", Peltier.name) == Peltier.name:
-        starts = {n.removeprefix(_START): v for n, v in kept.items() if n.startswith(_START)}
-        kept["structure"] = structure_of(Peltier, starts)
-    return kept
+        if old in recorded:
+            translated |= dict.fromkeys(names, recorded[old])
+    if "pid.limit" in recorded:
+        translated["pid.low"] = -recorded["pid.limit"]
+    if "structure" not in translated and translated.get("plant", Peltier.name) == Peltier.name:
+        starts = {n.removeprefix(_START): v for n, v in translated.items() if n.startswith(_START)}
+        translated["structure"] = structure_of(Peltier, starts)
+    return translated

@@ -105,18 +105,18 @@ class Asking(TwinmatchNode):
             self._asked = True
             self.ask(self.request)
         elif time.monotonic() - self._since > PATIENCE:
-            who = NAMES[self.SERVER].removeprefix("the ")
+            server = NAMES[self.SERVER].removeprefix("the ")
             service = self._service.srv_name
-            self.end(1, f"{self.NAME}: no {who} runs here (no service {service}); start live")
+            self.end(1, f"{self.NAME}: no {server} runs here (no service {service}); start live")
 
     def _ended(self, node: str) -> bool:
         """Whether a node has ended; another in its place would know of no request."""
         infos = self.get_publishers_info_by_topic(TOPICS[node])
-        now = frozenset(bytes(info.endpoint_gid) for info in infos if info.node_name == node)
+        publishers = frozenset(bytes(info.endpoint_gid) for info in infos if info.node_name == node)
         before = self._publishers.get(node, frozenset())
         if not before:
-            self._publishers[node] = now
-        return bool(before) and not now & before
+            self._publishers[node] = publishers
+        return bool(before) and not publishers & before
 
     def _on_health(self, message: DiagnosticArray) -> None:
         """Note who reports; of several graphs on this machine only this namespace counts."""
@@ -126,8 +126,8 @@ class Asking(TwinmatchNode):
             node = name.removeprefix(f"{space}/") if space else name
             self._reported[node] = time.monotonic()
 
-    def _on_answer(self, said: Any) -> None:
-        answer = said.result()
+    def _on_answer(self, future: Any) -> None:
+        answer = future.result()
         if answer.success:
             self.answered(answer.message)
         else:
@@ -158,7 +158,7 @@ class ExperimentAsking(Asking):
     def request(self) -> Experiment.Request:
         """The experiment of the parameters."""
         values = self.values
-        within = [float(each) for each in values["within"].split()]
+        within = [float(limit) for limit in values["within"].split()]
         return Experiment.Request(
             goal=values["goal"],
             minutes=values["minutes"],
@@ -215,11 +215,11 @@ class ProfileAsking(Asking):
     @property
     def request(self) -> SetParametersAtomically.Request:
         """No course any longer."""
-        given = Parameter("course.followed", value=False).to_parameter_msg()
-        return SetParametersAtomically.Request(parameters=[given])
+        not_followed = Parameter("course.followed", value=False).to_parameter_msg()
+        return SetParametersAtomically.Request(parameters=[not_followed])
 
-    def _on_answer(self, said: Any) -> None:
-        result = said.result().result
+    def _on_answer(self, future: Any) -> None:
+        result = future.result().result
         if result.successful:
             self.end(0, "the controller's profile continues where it was")
         else:

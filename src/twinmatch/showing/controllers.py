@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ from twinmatch.controllers import (
     Spread,
     levels_words,
 )
+from twinmatch.controllers.whole_loop import ChannelMargins
 from twinmatch.dynamics import Plant
 
 MAX_LIMITED: Final = 20.0
@@ -41,103 +43,119 @@ def answer_words(answer: ControllerAnswer) -> list[str]:
     return lines + [f"Note: {note}" for note in answer.notes]
 
 
-def comparison_words(found: LawComparison) -> str:
+def comparison_words(comparison: LawComparison) -> str:
     """Predicted and measured cost, and the rest of what a session has shown of an answer, in one sentence."""
-    band = f"{found.median:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})"
-    held = "stable" if found.stable else "unstable or beyond the safe range"
-    said = {None: "undecided before", True: "as predicted", False: "not as predicted"}[found.as_said]
+    band = f"{comparison.median:.3g} {comparison.unit} ({comparison.low:.3g} to {comparison.high:.3g})"
+    place = "inside" if comparison.inside else "outside"
+    stability = "stable" if comparison.stable else "unstable or beyond the safe range"
+    prediction = {None: "undecided before", True: "as predicted", False: "not as predicted"}[
+        comparison.as_said
+    ]
     return (
-        f"{found.name}: predicted cost {band}, measured {found.measured:.3g} {found.unit}: "
-        f"{'inside' if found.inside else 'outside'}; {100 * found.share:.0f} % of the readings lay in their "
-        f"bands; {held}, {said}; largest error {found.error:.3g}, predicted {found.predicted_error:.3g} "
-        f"{found.unit.removesuffix('²')}"
+        f"{comparison.name}: predicted cost {band}, measured {comparison.measured:.3g} {comparison.unit}: "
+        f"{place}; {100 * comparison.share:.0f} % of the readings lay in their bands; {stability}, "
+        f"{prediction}; largest error {comparison.error:.3g}, predicted {comparison.predicted_error:.3g} "
+        f"{comparison.unit.removesuffix('²')}"
     )
 
 
-def comparison_document(found: LawComparison) -> dict[str, Any]:
+def comparison_document(comparison: LawComparison) -> dict[str, Any]:
     """All of it for JSON."""
-    values = {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(found).items()}
-    return values | {"inside": found.inside, "as_said": found.as_said, "half_widths": _finite(found.off)}
+    values = {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(comparison).items()}
+    return values | {
+        "inside": comparison.inside,
+        "as_said": comparison.as_said,
+        "half_widths": _finite(comparison.off),
+    }
 
 
-def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
+def retuned_words(retuned: Retuned, answer: ControllerAnswer) -> list[str]:
     """Old and new gains with their M_s, why, and what tuning cannot change, in lines."""
-    lines = [found.reason]
+    lines = [retuned.reason]
     for name in ("proportional", "integral", "derivative"):
-        before = getattr(found.before, name)
-        after = getattr(found.after, name)
+        before = getattr(retuned.before, name)
+        after = getattr(retuned.after, name)
         lines.append(f"  {name}: {before:.4g} → {after:.4g}")
-    lines.append(f"  largest M_s: {found.sensitivities[0]:.2f} → {found.sensitivities[1]:.2f}")
+    lines.append(f"  largest M_s: {retuned.sensitivities[0]:.2f} → {retuned.sensitivities[1]:.2f}")
     limited = [s.median for q, s in answer.courses.figures.items() if q.name == "time at a limit"]
     if max(limited, default=0.0) > MAX_LIMITED:
         lines.append(f"  the drive is at a limit {max(limited):.0f} % of the time: tuning is not the trouble")
     return lines
 
 
-def experiment_words(found: NextExperiment) -> list[str]:
+def experiment_words(experiment: NextExperiment) -> list[str]:
     """The course in one sentence, then what it brings beside others of its length."""
-    plant = found.leader.parameters.model.plant
-    rows = found.course.rows
-    period = found.terms.holding.period
-    signals = plant.drives if found.terms.holding.law is None else plant.outputs
-    changes = [0, *(np.flatnonzero(np.any(np.diff(rows, axis=0), axis=1)) + 1)]
-    plan = [
-        ", ".join(f"{name} {v:.4g} {s.unit}" for (name, s), v in zip(signals.items(), rows[k], strict=True))
-        + f" for {period * (end - k):.4g} s"
-        for k, end in zip(changes, [*changes[1:], len(rows)], strict=True)
-    ]
-    brings = f"{found.course.characters:.3g} characters for {found.goal.name}"
-    lines = [f"hold {', then '.join(plan)}: after {period * len(rows):.4g} s, {brings} are expected"]
-    for one in (found.course, *found.others):
-        spreads = zip(found.leader.free, one.spreads.tolist(), strict=False)
-        known = ", ".join(f"{name} ± {spread:.2g}" for name, spread in spreads)
-        left = "" if one.within else "; leaves the range"
-        lines.append(f"  {one.name}: {one.characters:.3g} characters; {known}{left}")
+    period = experiment.terms.holding.period
+    rows = experiment.course.rows
+    brings = f"{experiment.course.characters:.3g} characters for {experiment.goal.name}"
+    plan = ", then ".join(_held_levels(experiment))
+    lines = [f"hold {plan}: after {period * len(rows):.4g} s, {brings} are expected"]
+    for course in (experiment.course, *experiment.others):
+        spreads = zip(experiment.leader.free, course.spreads.tolist(), strict=False)
+        listed = ", ".join(f"{name} ± {spread:.2g}" for name, spread in spreads)
+        warning = "" if course.within else "; leaves the range"
+        lines.append(f"  {course.name}: {course.characters:.3g} characters; {listed}{warning}")
     return lines
 
 
-def experiment_document(found: NextExperiment) -> dict[str, Any]:
+def _held_levels(experiment: NextExperiment) -> Iterator[str]:
+    """The levels of the course, and for how long each of them is held."""
+    plant = experiment.leader.parameters.model.plant
+    rows = experiment.course.rows
+    holding = experiment.terms.holding
+    signals = plant.drives if holding.law is None else plant.outputs
+    changes = [0, *(np.flatnonzero(np.any(np.diff(rows, axis=0), axis=1)) + 1)]
+    for begin, end in zip(changes, [*changes[1:], len(rows)], strict=True):
+        levels = ", ".join(
+            f"{name} {level:.4g} {signal.unit}"
+            for (name, signal), level in zip(signals.items(), rows[begin], strict=True)
+        )
+        yield f"{levels} for {holding.period * (end - begin):.4g} s"
+
+
+def experiment_document(experiment: NextExperiment) -> dict[str, Any]:
     """The course and the others beside it for JSON."""
     return {
-        "goal": found.goal.name,
-        "contenders": [contender.twin.name for contender in found.goal.contenders],
-        "period": found.terms.holding.period,
-        "planned": "inputs" if found.terms.holding.law is None else "set-points",
-        "most": found.most,
+        "goal": experiment.goal.name,
+        "contenders": [contender.twin.name for contender in experiment.goal.contenders],
+        "period": experiment.terms.holding.period,
+        "planned": "inputs" if experiment.terms.holding.law is None else "set-points",
+        "most": experiment.most,
         "courses": [
             {
-                "name": one.name,
-                "levels": one.rows.T.tolist(),
-                "characters": one.characters,
-                "within": one.within,
-                "spreads": dict(zip(found.leader.free, one.spreads.tolist(), strict=False)),
+                "name": course.name,
+                "levels": course.rows.T.tolist(),
+                "characters": course.characters,
+                "within": course.within,
+                "spreads": dict(zip(experiment.leader.free, course.spreads.tolist(), strict=False)),
             }
-            for one in (found.course, *found.others)
+            for course in (experiment.course, *experiment.others)
         ],
     }
 
 
-def guarantee_words(found: Guarantee, plant: type[Plant]) -> str:
+def guarantee_words(guarantee: Guarantee, plant: type[Plant]) -> str:
     """What the theorem guarantees, and its premises, in one sentence."""
-    units = zip((*plant.outputs, *plant.drives), (*found.scaling.outputs, *found.scaling.inputs), strict=True)
-    scaled = ", ".join(f"{name} {value:.3g}" for name, value in units)
-    gap = max(found.scaling.gap, found.drawn)
-    held = (
-        f"b = {found.scaling.margin:.2f} against a largest ν-gap of {gap:.2f} between {found.plants} plants"
+    units = zip(
+        (*plant.outputs, *plant.drives), (*guarantee.scaling.outputs, *guarantee.scaling.inputs), strict=True
     )
-    origin = f"{found.member} at {levels_words(plant, found.point)}"
-    if not found.holds:
-        return f"not guaranteed: {held}, from {origin} (units: {scaled})"
+    scaled = ", ".join(f"{name} {value:.3g}" for name, value in units)
+    gap = max(guarantee.scaling.gap, guarantee.drawn)
+    margin = guarantee.scaling.margin
+    gaps = f"b = {margin:.2f} against a largest ν-gap of {gap:.2f} between {guarantee.plants} plants"
+    origin = f"{guarantee.member} at {levels_words(plant, guarantee.point)}"
+    if not guarantee.holds:
+        return f"not guaranteed: {gaps}, from {origin} (units: {scaled})"
     return (
-        f"guaranteed for every linear plant within a ν-gap of {found.scaling.margin:.2f} of {origin}: "
-        f"{held}; for small movements within the limits of the drives (units: {scaled})"
+        f"guaranteed for every linear plant within a ν-gap of {margin:.2f} of {origin}: "
+        f"{gaps}; for small movements within the limits of the drives (units: {scaled})"
     )
 
 
 def _stability_words(answer: ControllerAnswer) -> list[str]:
-    worst = max(answer.stability, key=lambda one: one.eigenvalue)
-    draws = sum(one.eigenvalues.size for one in answer.stability)
-    unstable = sum(int(np.sum(one.eigenvalues >= 1.0)) for one in answer.stability)
+    worst = max(answer.stability, key=lambda stability: stability.eigenvalue)
+    draws = sum(stability.eigenvalues.size for stability in answer.stability)
+    unstable = sum(int(np.sum(stability.eigenvalues >= 1.0)) for stability in answer.stability)
     where = levels_words(answer.plant, worst.point)
     lines = [
         f"largest eigenvalue {worst.eigenvalue:.5f}, of {worst.member.name} at {where}; "
@@ -146,7 +164,7 @@ def _stability_words(answer: ControllerAnswer) -> list[str]:
     if worst.eigenvalue >= 1.0:
         return lines
     for i, drive in enumerate(answer.plant.drives):
-        margins = [one.margins[i] for one in answer.stability]
+        margins = [stability.margins[i] for stability in answer.stability]
         gain = min(m.gain_change for m in margins)
         delay = min(m.delay for m in margins)
         lines.append(
@@ -157,10 +175,10 @@ def _stability_words(answer: ControllerAnswer) -> list[str]:
     return lines
 
 
-def _or_never(value: float, unit: str, other: str = "") -> str:
+def _or_never(value: float, unit: str, reciprocal: str = "") -> str:
     if math.isinf(value):
         return f"no {unit}"
-    return f"{value:.2f} {unit}" + (f" ({other}{value:.2f})" if other else "")
+    return f"{value:.2f} {unit}" + (f" ({reciprocal}{value:.2f})" if reciprocal else "")
 
 
 def _known(spread: Spread) -> bool:
@@ -180,26 +198,26 @@ def _spread_words(spread: Spread) -> str:
 
 def answer_document(answer: ControllerAnswer) -> dict[str, Any]:
     """The answer with all figures and bands; every value is a string, number, list, dictionary or None."""
-    found = answer.guarantee
+    guarantee = answer.guarantee
     return {
         "decision": answer.decision.value,
         "sentence": answer.sentence,
-        "twins": [_member_document(one) for one in answer.stability],
+        "twins": [_member_document(stability) for stability in answer.stability],
         "points": [list(point) for point in answer.points],
         "hangs_on": None
         if answer.question is None
         else {name: getattr(answer.question, name) for name in ("parameter", "drive", "step")},
         "guarantee": None
-        if found is None
+        if guarantee is None
         else {
-            "holds": found.holds,
-            "twin": found.member,
-            "point": list(found.point),
-            "margin": found.scaling.margin,
-            "gap": found.scaling.gap,
-            "gap_of_draws": found.drawn,
-            "output_units": found.scaling.outputs.tolist(),
-            "input_units": found.scaling.inputs.tolist(),
+            "holds": guarantee.holds,
+            "twin": guarantee.member,
+            "point": list(guarantee.point),
+            "margin": guarantee.scaling.margin,
+            "gap": guarantee.scaling.gap,
+            "gap_of_draws": guarantee.drawn,
+            "output_units": guarantee.scaling.outputs.tolist(),
+            "input_units": guarantee.scaling.inputs.tolist(),
         },
         "widening": answer.widening,
         "figures": _figures_document(answer.courses.figures),
@@ -218,25 +236,29 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _member_document(one: MemberStability) -> dict[str, Any]:
+def _margin_document(margin: ChannelMargins) -> dict[str, Any]:
+    return {key: _finite(value) for key, value in margin._asdict().items()}
+
+
+def _member_document(stability: MemberStability) -> dict[str, Any]:
     return {
-        "name": one.member.name,
-        "structure": one.member.parameters.model.structure_name,
-        "eigenvalue": _finite(one.eigenvalue),
-        "point": list(one.point),
-        "unstable": one.unstable,
-        "draws": int(one.eigenvalues.size),
-        "margins": [{key: _finite(v) for key, v in margin._asdict().items()} for margin in one.margins],
-        "sensitivity": _finite(one.sensitivity),
+        "name": stability.member.name,
+        "structure": stability.member.parameters.model.structure_name,
+        "eigenvalue": _finite(stability.eigenvalue),
+        "point": list(stability.point),
+        "unstable": stability.unstable,
+        "draws": int(stability.eigenvalues.size),
+        "margins": list(map(_margin_document, stability.margins)),
+        "sensitivity": _finite(stability.sensitivity),
     }
 
 
 def _figures_document(figures: Any) -> list[dict[str, Any]]:
-    return [
-        {"name": q.name, "signal": q.signal, "unit": q.unit}
-        | {key: _finite(value) for key, value in spread._asdict().items()}
-        for q, spread in figures.items()
-    ]
+    documents = []
+    for q, spread in figures.items():
+        values = {key: _finite(value) for key, value in spread._asdict().items()}
+        documents.append({"name": q.name, "signal": q.signal, "unit": q.unit} | values)
+    return documents
 
 
 def _bands_document(bands: Any) -> list[dict[str, Any]]:

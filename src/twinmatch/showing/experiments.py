@@ -12,12 +12,13 @@ def course_words(
     levels: Sequence[float], holds: Sequence[float], described: Description = UNDESCRIBED
 ) -> str:
     """Set-points and how long each is held, without the last, at which the plant rests afterwards."""
-    of = described.references
-    rows = list(zip(*[iter(levels)] * len(of), strict=True))
-    return ", then ".join(
-        f"{' and '.join(f'{v:.4g} {q.unit}'.rstrip() for v, q in zip(row, of, strict=True))} for {hold:.4g} s"
-        for row, hold in zip(rows[:-1], holds, strict=False)
-    )
+    quantities = described.references
+    rows = list(zip(*[iter(levels)] * len(quantities), strict=True))
+    steps = []
+    for row, hold in zip(rows[:-1], holds, strict=False):
+        values = [f"{level:.4g} {q.unit}".rstrip() for level, q in zip(row, quantities, strict=True)]
+        steps.append(f"{' and '.join(values)} for {hold:.4g} s")
+    return ", then ".join(steps)
 
 
 def report_words(report: ExperimentReport, described: Description = UNDESCRIBED) -> str:

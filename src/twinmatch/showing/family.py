@@ -113,10 +113,10 @@ def _window_of(
     last = score.last
     if last < first:  # from a file, so judged on the first window that excited the loop
         last = next((m.match.samples[1] for m in matches if m.match.samples[0] == first), last)
-    held = [s for s in samples if first <= s.index <= last]
-    if len(held) == last - first + 1 and len(unbroken(held)) == 1:
+    window_samples = [s for s in samples if first <= s.index <= last]
+    if len(window_samples) == last - first + 1 and len(unbroken(window_samples)) == 1:
         with suppress(TwinmatchError):
-            return Window.from_samples(held, period)
+            return Window.from_samples(window_samples, period)
     return None
 
 
@@ -180,13 +180,15 @@ class FigureColumn(NamedTuple):
         """Name and unit."""
         return with_unit(self.name, self.unit)
 
-    def text(self, of: object) -> str:
+    def text(self, holder: object) -> str:
         """The figure of an object, or of a document, that has these fields."""
-        known = (
-            of if isinstance(of, Mapping) else {n: getattr(of, n) for n in (self.attribute, self.high) if n}
+        fields = (
+            holder
+            if isinstance(holder, Mapping)
+            else {n: getattr(holder, n) for n in (self.attribute, self.high) if n}
         )
-        low = known[self.attribute]
-        return span_text(low, known[self.high], self.decimals) if self.high else number(low, self.decimals)
+        low = fields[self.attribute]
+        return span_text(low, fields[self.high], self.decimals) if self.high else number(low, self.decimals)
 
 
 GAIN: Final = FigureColumn(
@@ -264,13 +266,12 @@ def criterion_rows(
     """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
     orders = candidate.orders
     chosen = candidate.chosen_order
-    return tuple(
-        CriterionRow(
-            *(output, o.order, o.order == chosen), tuple(_figure(orders, o, output, c) for c in criteria)
-        )
-        for output, _ in outputs_of(orders)
-        for o in orders
-    )
+    rows = []
+    for output, _ in outputs_of(orders):
+        for o in orders:
+            figures = tuple(_figure(orders, o, output, c) for c in criteria)
+            rows.append(CriterionRow(output, o.order, o.order == chosen, figures))
+    return tuple(rows)
 
 
 def chosen_score(candidate: CandidateScore) -> OrderScore | None:
@@ -281,7 +282,11 @@ def chosen_score(candidate: CandidateScore) -> OrderScore | None:
 def computed(candidates: Sequence[CandidateScore]) -> tuple[FigureColumn, ...]:
     """The criteria that have a value for at least one candidate."""
     orders = [order for candidate in candidates for order in candidate.orders]
-    return tuple(c for c in CRITERIA if any(not math.isnan(_value(o, "total", c)) for o in orders))
+    return tuple(c for c in CRITERIA if _is_computed(c, orders))
+
+
+def _is_computed(criterion: FigureColumn, orders: Sequence[OrderScore]) -> bool:
+    return any(not math.isnan(_value(order, "total", criterion)) for order in orders)
 
 
 def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> list[FigureColumn]:

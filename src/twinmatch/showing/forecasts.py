@@ -86,9 +86,9 @@ def comparison_words(fan: Fan, plant: type[Plant]) -> list[str]:
     shares = [f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size]
     inside = " and ".join(f"{share} {signal}" for share, signal in zip(shares, signals, strict=False))
     moves = "set-points" if fan.forecast.closed else "inputs"
-    same = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
+    condition = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
     return [
-        f"compared with the next {fan.judged * fan.past.period:g} s of measurements{same}: error "
+        f"compared with the next {fan.judged * fan.past.period:g} s of measurements{condition}: error "
         f"{signals.output.text(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
     ]
 
@@ -112,13 +112,19 @@ def _parts(forecast: Forecast) -> list[Forecast]:
     steps = np.flatnonzero(np.diff(forecast.reference)) + 1
     ends = [0, *steps.tolist(), forecast.time.size]
 
-    def part(of: slice) -> Forecast:
-        output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
-        time = forecast.time[of]
-        levels = forecast.reference[of]
-        return replace(forecast, time=time, references=levels, outputs=(output,), inputs=(entry,))
+    return [_part(forecast, slice(begin, end)) for begin, end in pairwise(ends)]
 
-    return [part(slice(*pair)) for pair in pairwise(ends)]
+
+def _part(forecast: Forecast, samples: slice) -> Forecast:
+    output = forecast.output
+    entry = forecast.input
+    return replace(
+        forecast,
+        time=forecast.time[samples],
+        references=forecast.reference[samples],
+        outputs=(Band(output.mean[samples], output.low[samples], output.high[samples]),),
+        inputs=(Band(entry.mean[samples], entry.low[samples], entry.high[samples]),),
+    )
 
 
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
@@ -130,19 +136,21 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
     reached = time_to_reach(part, level, near)
-    held = settling_time(part, level, near)
+    settled = settling_time(part, level, near)
     if reached.expected is None:
         edge = reached.earliest
         best = "" if edge is None else f"; at the edge of the band after {edge:g} s"
         return f"{goal}: not in that time{best}"
-    if reached.expected == held.expected == part.time[0]:
-        further = "" if held.latest == held.expected else ", though the band reaches further"
+    if reached.expected == settled.expected == part.time[0]:
+        further = "" if settled.latest == settled.expected else ", though the band reaches further"
         return f"{goal}: all the time{further}"
-    then = "but it does not stay there"
-    if held.expected is not None:
-        stays = held.expected == reached.expected
-        then = "and it stays there" if stays else f"permanently after {held.expected:g} s{_range(held)}"
-    return f"{goal}: first after {reached.expected:g} s{_range(reached)}, {then}"
+    afterwards = "but it does not stay there"
+    if settled.expected is not None:
+        stays = settled.expected == reached.expected
+        afterwards = (
+            "and it stays there" if stays else f"permanently after {settled.expected:g} s{_range(settled)}"
+        )
+    return f"{goal}: first after {reached.expected:g} s{_range(reached)}, {afterwards}"
 
 
 def _largest(forecast: Forecast, plant: type[Plant]) -> str:
@@ -222,16 +230,21 @@ def backtest_tables(backtest: Backtest) -> list[Table]:
 
     tables = []
     columns = card_columns(backtest.plant, driven=backtest.driven)
-    for horizon, held in backtest.at_horizons.items():
-        title = f"{backtest.name}: {horizon:g} s ahead, {held[0].count} forecasts"
+    for horizon, cards in backtest.at_horizons.items():
+        title = f"{backtest.name}: {horizon:g} s ahead, {cards[0].count} forecasts"
         table = Table(title=title, title_justify="left", box=None, pad_edge=False)
         for k, (name, _) in enumerate(columns):
             table.add_column(name, justify="right" if k else "left", no_wrap=True)
-        for card in held:
-            style = "bold" if card.who == LEADER else "" if card.who in TWINS else "dim"
-            table.add_row(*(text(card) for _, text in columns), style=style)
+        for card in cards:
+            table.add_row(*(text(card) for _, text in columns), style=_style(card.who))
         tables.append(table)
     return tables
+
+
+def _style(forecaster: str) -> str:
+    if forecaster == LEADER:
+        return "bold"
+    return "" if forecaster in TWINS else "dim"
 
 
 def backtest_words(backtest: Backtest) -> list[str]:
@@ -240,15 +253,15 @@ def backtest_words(backtest: Backtest) -> list[str]:
     noise = backtest.plant.output.noise
     sentences = []
     for horizon, cards in backtest.at_horizons.items():
-        own = next((card for card in cards if card.who == LEADER), None)
-        if own is None:
+        card_of_leader = next((card for card in cards if card.who == LEADER), None)
+        if card_of_leader is None:
             continue
-        text = (
-            f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
-            f"{w.output.text(own.end_output * noise, finer=1)} half of the time, and its band held "
-            f"{100 * own.coverage_output:.0f} % of the readings ({100 * backtest.confidence:.0f} % expected)"
+        error = w.output.text(card_of_leader.end_output * noise, finer=1)
+        share = f"{100 * card_of_leader.coverage_output:.0f} % of the readings"
+        sentences.append(
+            f"{horizon:g} s ahead, the leader's {w.output} was off by less than {error} half of the time, "
+            f"and its band held {share} ({100 * backtest.confidence:.0f} % expected)."
         )
-        sentences.append(f"{text}.")
     return [*sentences, *_trust(backtest)]
 
 
@@ -258,11 +271,11 @@ def _trust(backtest: Backtest) -> Iterator[str]:
     name, *_ = backtest.plant.outputs
     if last is not None and last.leader is not None:
         trusted = last.trusted
-        whose = "they"
+        forecasts = "they"
         doubts = last.doubts
         if backtest.plant.channel_of is not None:
             trusted = next(score.trusted for score in last.signals if score.signal == name)
-            whose = f"the forecasts of {signal_names(backtest.plant).output}"
+            forecasts = f"the forecasts of {signal_names(backtest.plant).output}"
             doubts = ""
         ahead = f"{number_list(trusted)} s ahead" if trusted else "at no horizon"
-        yield f"At the end {whose} pass the test of trust {ahead}{f': {doubts}' if doubts else ''}."
+        yield f"At the end {forecasts} pass the test of trust {ahead}{f': {doubts}' if doubts else ''}."

@@ -70,7 +70,7 @@ class Lines:
     def close(self, *, wipe: bool = False) -> None:
         """Do nothing: lines need no end and cannot be wiped; a `Screen` can."""
 
-    def advance(self, done: int) -> None:
+    def advance(self, count: int) -> None:
         """Do nothing: lines do not show progress."""
 
     def take_match(self, report: MatchReport) -> None:

@@ -41,7 +41,7 @@ class RememberedRig(NamedTuple):
     def outdated(self) -> int:
         """Number of sessions of which there are only lessons on other equations."""
         current = current_lessons(self.lessons, self.plant)
-        return len({one.session for one in self.lessons} - {one.session for one in current})
+        return len({lesson.session for lesson in self.lessons} - {lesson.session for lesson in current})
 
     @property
     def title(self) -> str:
@@ -51,14 +51,14 @@ class RememberedRig(NamedTuple):
     @property
     def sentences(self) -> list[str]:
         """What there is to say about it."""
-        said = []
+        sentences = []
         if self.structure:
             text = self.report.sentence
-            said.append(f"{text[0].upper()}{text[1:]}.")
+            sentences.append(f"{text[0].upper()}{text[1:]}.")
         if self.outdated:
             some = f"{self.outdated} session{'s' if self.outdated > 1 else ''} remembered"
-            said.append(f"Not compared: {some} with other equations of this plant; remember them again.")
-        return said
+            sentences.append(f"Not compared: {some} with other equations of this plant; remember them again.")
+        return sentences
 
     def table(self) -> Table:
         """One row for each session, with the parameters of the structure and their standard deviations."""
@@ -70,13 +70,19 @@ class RememberedRig(NamedTuple):
         for name in ("session", "began", "hours", "level", *(q.label for q in formats)):
             side: Any = "left" if name in {"session", "began", "level"} else "right"
             shown.add_column(name, justify=side, no_wrap=True)
-        for one in self.report.lessons:
+        for lesson in self.report.lessons:
             cells = (
-                f"{q.text(one.parameters[q.name])} ± {q.error_text(float(deviation))}"
-                for q, deviation in zip(formats, one.deviations, strict=True)
+                f"{q.text(lesson.parameters[q.name])} ± {q.error_text(float(deviation))}"
+                for q, deviation in zip(formats, lesson.deviations, strict=True)
             )
-            faulty = "" if one.fault_at is None else f", faulty from {one.fault_at}"
-            shown.add_row(one.name, began_text(one), f"{one.duration / 3600:.2f}", one.level + faulty, *cells)
+            faulty = "" if lesson.fault_at is None else f", faulty from {lesson.fault_at}"
+            shown.add_row(
+                lesson.name,
+                began_text(lesson),
+                f"{lesson.duration / 3600:.2f}",
+                lesson.level + faulty,
+                *cells,
+            )
         return shown
 
     def document(self) -> dict[str, Any]:
@@ -96,7 +102,7 @@ def remembered(lessons: Sequence[Lesson], plant: type[Plant], rig: str) -> Remem
     """What these lessons on a plant and rig say, in the structure that its sessions share."""
     current = current_lessons(lessons, plant)
     structure = shared_structure(current)
-    compared = [one for one in current if one.structure == structure]
+    compared = [lesson for lesson in current if lesson.structure == structure]
     report = report_on(compared, plant.model(structure)) if structure else MemoryReport([], [], [], [])
     return RememberedRig(plant, rig, structure, list(lessons), report)
 
@@ -122,7 +128,7 @@ def began_text(lesson: Lesson) -> str:
 def _finite(value: Any) -> Any:
     """For strict JSON: numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {name: _finite(one) for name, one in value.items()}
+        return {name: _finite(member) for name, member in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [_finite(member) for member in value]
     return None if isinstance(value, float) and not abs(value) < float("inf") else value

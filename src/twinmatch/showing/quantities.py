@@ -70,8 +70,8 @@ def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
 def in_order(plant: type[Plant], names: Iterable[str]) -> tuple[str, ...]:
     """The names in the plant's order: parameters, then states; then names the plant does not have."""
     wanted = dict.fromkeys(names)
-    known = [name for name in (*plant.parameters, *plant.states) if name in wanted]
-    return (*known, *(name for name in wanted if name not in known))
+    of_plant = [name for name in (*plant.parameters, *plant.states) if name in wanted]
+    return (*of_plant, *(name for name in wanted if name not in of_plant))
 
 
 def _prefix(unit: str, scale: float) -> tuple[str, float]:
@@ -106,10 +106,10 @@ def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str
     return text.replace("-", "−")
 
 
-def span_text(low: float, high: float, decimals: int = 3, to: str = " to ") -> str:
+def span_text(low: float, high: float, decimals: int = 3, separator: str = " to ") -> str:
     """An interval; a dash where an end is not known."""
-    known = not (math.isnan(low) or math.isnan(high))
-    return f"{number(low, decimals)}{to}{number(high, decimals)}" if known else number(None)
+    both_known = not (math.isnan(low) or math.isnan(high))
+    return f"{number(low, decimals)}{separator}{number(high, decimals)}" if both_known else number(None)
 
 
 def percent(share: float, decimals: int = 1) -> str:

@@ -144,8 +144,8 @@ class Fan:
 
     def _inside(self, band: Band, measured: FloatArray) -> FloatArray:
         inside = (self._ahead(band.low) <= measured) & (measured <= self._ahead(band.high))
-        held = np.asarray(inside, dtype=np.float64)
-        return held if self.measured is None else self.measured.received(held)
+        is_inside = np.asarray(inside, dtype=np.float64)
+        return is_inside if self.measured is None else self.measured.received(is_inside)
 
 
 def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
@@ -155,17 +155,17 @@ def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     differs from the one the forecast was made for.
     """
     size = forecast.time.size
-    now = forecast.sample
+    origin = forecast.sample
     before = max(round(_BEFORE * size), 1)
-    whole = next(part for part in stretches if part.first <= now <= part.last)
-    window = whole.part(max(whole.first, now - before), min(whole.last, now + size))
+    whole = next(part for part in stretches if part.first <= origin <= part.last)
+    window = whole.part(max(whole.first, origin - before), min(whole.last, origin + size))
     levels = window.reference
     asked = forecast.reference
     if not forecast.closed:
         levels = window.input
         asked = forecast.input.mean
-    ahead = levels[now + 1 - window.first :]
-    other = np.flatnonzero(ahead != asked[: ahead.size])
-    count = int(other[0]) if other.size else ahead.size
-    measured = window.part(now + 1, now + count) if count else None
-    return Fan(forecast, window.part(window.first, now), measured)
+    ahead = levels[origin + 1 - window.first :]
+    differing = np.flatnonzero(ahead != asked[: ahead.size])
+    count = int(differing[0]) if differing.size else ahead.size
+    measured = window.part(origin + 1, origin + count) if count else None
+    return Fan(forecast, window.part(window.first, origin), measured)

@@ -73,11 +73,11 @@ class Hosts:
     """Whether it answers to every address."""
 
     @classmethod
-    def of(cls, address: str, given: Iterable[str] = ()) -> Hosts:
+    def of(cls, address: str, named: Iterable[str] = ()) -> Hosts:
         """Those of a server on this address, and those given."""
         closed = is_loopback(address)
-        own = {} if closed else {address.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        return cls(frozenset(own), frozenset(name.lower() for name in given), not closed)
+        names = {} if closed else {address.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        return cls(frozenset(names), frozenset(name.lower() for name in named), not closed)
 
     def refusal(self, host: str | None, origin: str | None, *, beside: bool = False) -> str:
         """Why a request with these headers is refused, in a sentence; empty if it is not.
@@ -86,15 +86,17 @@ class Hosts:
         """
         name = _name_in(host or "")
         if not (is_loopback(name) or name in self.own | self.given or (self.addresses and _is_address(name))):
-            told = f"under the name {_short(name)}" if name else "to a request without a host's name"
-            return f"this server does not answer {told}; open it by its address, or name the host with --host"
+            reason = f"under the name {_short(name)}" if name else "to a request without a host's name"
+            return (
+                f"this server does not answer {reason}; open it by its address, or name the host with --host"
+            )
         if origin is None:
             return ""
         _, _, place = origin.partition("://")
-        there = _name_in(place)
-        if there and (place.lower() == (host or "").lower() or there in self.given):
+        origin_host = _name_in(place)
+        if origin_host and (place.lower() == (host or "").lower() or origin_host in self.given):
             return ""
-        if beside and (origin == "file://" or is_loopback(there)):
+        if beside and (origin == "file://" or is_loopback(origin_host)):
             return ""
         return f"a page of {_short(origin)} may not use this server; --host NAME lets those of a host use it"
 
@@ -120,11 +122,11 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def warn_if_open(what: str, address: str, able: str) -> None:
+def warn_if_open(name: str, address: str, able: str) -> None:
     """Say on standard output that a server is open to other machines, if it is, and what they may do."""
     if not is_loopback(address):
         print(
-            f"{what} OPEN: anyone who can reach {address} may {able}; the connection is not encrypted",
+            f"{name} OPEN: anyone who can reach {address} may {able}; the connection is not encrypted",
             flush=True,
         )
 

@@ -31,8 +31,10 @@ def _judgement(summary: SessionSummary) -> str:
     parts.append(_trust(summary))
     if math.isfinite(summary.fit_y) and summary.level is not TrustLevel.FAULT:
         outputs = shown_outputs(summary.parameters.model.plant) if summary.parameters else ["output"]
-        each = summary.fits.outputs if summary.fits else (summary.fit_y,)
-        fit = ", ".join(f"{y} fit {percent(share)} %" for y, share in zip(outputs, each, strict=True))
+        fit_of_output = summary.fits.outputs if summary.fits else (summary.fit_y,)
+        fit = ", ".join(
+            f"{y} fit {percent(share)} %" for y, share in zip(outputs, fit_of_output, strict=True)
+        )
         if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
             fit = f"left without readings it drifts off ({fit})"
         parts.append(fit)
@@ -63,14 +65,14 @@ def _named(summary: SessionSummary, name: str) -> str:
 def _trust(summary: SessionSummary) -> str:
     """How far to trust the leader now: names only horizons and levels at which it passes the test."""
     ahead = f"{number_list(summary.trusted)} s ahead {summary.range}" if summary.trusted else ""
-    held = ahead if summary.range else ""
+    proven = ahead if summary.range else ""
     if summary.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
         word = "doubtful now" if summary.level is TrustLevel.DOUBTFUL else "do not trust it now"
-        return f"{word}: {summary.why}{f' (its forecasts held {held})' if held else ''}"
-    if summary.level is TrustLevel.UNKNOWN or not held:
+        return f"{word}: {summary.why}{f' (its forecasts held {proven})' if proven else ''}"
+    if summary.level is TrustLevel.UNKNOWN or not proven:
         why = summary.why if summary.level is TrustLevel.UNKNOWN else ""
         return f"how far to trust it is not known yet{f': {why}' if why else ''}"
-    return f"trust it {held}, but {summary.doubts}" if summary.doubts else f"trust it {held}"
+    return f"trust it {proven}, but {summary.doubts}" if summary.doubts else f"trust it {proven}"
 
 
 def _faults(summary: SessionSummary) -> str:
@@ -102,13 +104,17 @@ def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]
 
 def _plant(verdict: Verdict) -> str:
     """The structure's parameters in brackets with their units; one that is 0 and not fitted is left out."""
-    held = verdict.structure_parameters
-    if held is None:
+    parameters = verdict.structure_parameters
+    if parameters is None:
         return ""
-    plant = held.model.plant
-    fitted = held.model.structure.free
-    known = [(parameter_format(plant, name), held[name]) for name in held if held[name] or name in fitted]
-    shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in known]
+    plant = parameters.model.plant
+    fitted = parameters.model.structure.free
+    formats_and_values = [
+        (parameter_format(plant, name), parameters[name])
+        for name in parameters
+        if parameters[name] or name in fitted
+    ]
+    shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in formats_and_values]
     return f" ({', '.join(shown)})"
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import timedelta
 from math import nan
-from typing import Final
+from typing import Final, NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console as AnyConsole
@@ -38,12 +39,22 @@ from twinmatch.showing.verdicts import (
 )
 from twinmatch.twin import MatchReport
 
-MIN_WAIT = 0.25
-"""Shortest time between two drawings, s."""
-QUARTERS = 4
-"""A run is drawn at least after each of these parts, so that even a short run shows progress."""
-SHARE = 0.01
-"""Most time that drawing may take, as a share of the whole."""
+
+@dataclass(frozen=True)
+class _Pace:
+    """How often the view is drawn."""
+
+    shortest: float = 0.25
+    """Shortest time between two drawings, s."""
+    parts: int = 4
+    """A run is drawn at least after each of these parts, so that even a short run shows progress."""
+    share: float = 0.01
+    """Most time that drawing may take, as a share of the whole."""
+
+
+_PACE: Final = _Pace()
+
+
 MAX_EVENTS = 8
 MAX_MATCHES = 100
 """Newest matches that are kept, besides those of the current candidates."""
@@ -97,11 +108,11 @@ class Screen:
         self._live.transient = wipe
         self._live.stop()
 
-    def advance(self, done: int) -> None:
+    def advance(self, count: int) -> None:
         """Note the number of samples processed since the start of the session."""
-        self._done = done
+        self._done = count
         self._compiled = ""
-        part = QUARTERS * done // self._total if self._total else 0
+        part = _PACE.parts * count // self._total if self._total else 0
         if part > self._part or time.monotonic() >= self._next:
             self._part = part
             self._draw()
@@ -124,8 +135,8 @@ class Screen:
         """Print a line of another program part above the view."""
         self._console.print(Text(text, style=style))
 
-    def _compile(self, what: str) -> None:
-        self._compiled = what
+    def _compile(self, kernel: str) -> None:
+        self._compiled = kernel
         self._draw()
 
     def _draw(self) -> None:
@@ -133,7 +144,7 @@ class Screen:
         if self._live.is_started:
             self._live.refresh()
         ended = time.monotonic()
-        self._next = ended + max(MIN_WAIT, (ended - began) / SHARE)
+        self._next = ended + max(_PACE.shortest, (ended - began) / _PACE.share)
 
     def __rich_console__(self, console: AnyConsole, options: ConsoleOptions) -> RenderResult:
         verdict = self._verdict
@@ -148,8 +159,8 @@ class Screen:
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
         if self._compiled:
             shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
-        if each := trust_by_signal(verdict):
-            shown += [Text(), signal_table(each)]
+        if trust_of_signals := trust_by_signal(verdict):
+            shown += [Text(), signal_table(trust_of_signals)]
         if verdict is not None and verdict.candidates:
             accepted = [report.match for report in self._matches if report.match.accepted]
             determined = {m.samples: m.believed for m in accepted if m.samples is not None}
@@ -235,8 +246,6 @@ WellDetermined = Mapping[tuple[int, int], Sequence[str]]
 """Names of well determined parameters, by first and last sample of the window they were matched on."""
 
 
-FamilyColumn = tuple[str, str, Callable[[CandidateScore, Sequence[str]], str]]
-"""Name, unit, and the text for a candidate and the names of its well determined parameters."""
 _FREE: Final = "parameters"
 _KEPT: Final = (
     *("candidate", "order", "Σ ν-gap", "P(nominal)", _FREE, "gain", "at", "margin", "90 % of Σ", "nAIC"),
@@ -245,21 +254,44 @@ _KEPT: Final = (
 """Names of the columns; where there is no room for all, the last are left out first."""
 
 
+class FamilyColumn(NamedTuple):
+    """One column of the table of candidates."""
+
+    name: str
+    unit: str
+    text_of: Callable[[CandidateScore, Sequence[str]], str]
+    """Text for a candidate and the names of its well determined parameters."""
+
+    @property
+    def head(self) -> str:
+        """Name, with the unit below it."""
+        return f"{self.name}\n{self.unit}" if self.unit.strip() else self.name
+
+    @property
+    def priority(self) -> int:
+        """Its place among the columns that are kept."""
+        return _KEPT.index(self.name if self.name in _KEPT else _FREE)
+
+
 def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Table:
     """The candidates with the columns that fit into `width` characters, chosen by priority."""
-    rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.family]
+    family = verdict.family
     columns = _family_columns(verdict)
-    heads = [f"{name}\n{unit}" if unit.strip() else name for name, unit, _ in columns]
-    cells = [[cell(*row) for row in rows] for _, _, cell in columns]
-    widths = [max(map(cell_len, (*h.split("\n"), *texts))) for h, texts in zip(heads, cells, strict=True)]
+    parameters = [determined.get((c.first, c.last), ()) for c in family]
+    texts = [list(map(column.text_of, family, parameters)) for column in columns]
+    widths = [_width(column.head, cells) for column, cells in zip(columns, texts, strict=True)]
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
-    chosen = _fitting([_KEPT.index(n if n in _KEPT else _FREE) for n, _, _ in columns], widths, width)
+    chosen = _fitting([column.priority for column in columns], widths, width)
     for k in chosen:
-        table.add_column(heads[k], no_wrap=True, justify="right" if k else "left")
-    for place, (candidate, _) in enumerate(rows):
+        table.add_column(columns[k].head, no_wrap=True, justify="right" if k else "left")
+    for row, candidate in enumerate(family):
         style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
-        table.add_row(*(cells[k][place] for k in chosen), style=style)
+        table.add_row(*(texts[k][row] for k in chosen), style=style)
     return table
+
+
+def _width(head: str, cells: Sequence[str]) -> int:
+    return max(map(cell_len, (*head.split("\n"), *cells)))
 
 
 def signal_table(rows: Sequence[Mapping[str, str]]) -> Table:
@@ -291,24 +323,26 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
         return f"{marks} {c.name}"
 
     def of_both(column: FigureColumn) -> FamilyColumn:
-        return (
-            column.name,
-            column.unit,
-            lambda c, _: column.text(score.total) if (score := chosen_score(c)) else "",
-        )
+        def text(c: CandidateScore, _: Sequence[str]) -> str:
+            score = chosen_score(c)
+            return column.text(score.total) if score else ""
 
-    columns: list[FamilyColumn] = [("candidate", "", candidate)]
+        return FamilyColumn(column.name, column.unit, text)
+
+    def figure(column: FigureColumn) -> FamilyColumn:
+        return FamilyColumn(column.name, column.unit, lambda c, _: column.text(c))
+
+    columns = [FamilyColumn("candidate", "", candidate)]
     if not verdict.family:
         return columns
     model = verdict.family[0].parameters.model
-    columns.append(
-        ("at", outputs_unit(model.plant), lambda c, _: point_number(c.operating_point, model.plant))
-    )
+    unit = outputs_unit(model.plant)
+    columns.append(FamilyColumn("at", unit, lambda c, _: point_number(c.operating_point, model.plant)))
     columns += [_parameter(model.plant, name) for name in model.structure.free]
     if verdict.modelled:
-        columns.append(("order", "", lambda c, _: c.chosen_order))
+        columns.append(FamilyColumn("order", "", lambda c, _: c.chosen_order))
         columns += map(of_both, (c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT))
-    return [*columns, *((c.name, c.unit, lambda s, _, c=c: c.text(s)) for c in FIGURES)]
+    return [*columns, *map(figure, FIGURES)]
 
 
 def _parameter(plant: type[Plant], name: str) -> FamilyColumn:
@@ -317,4 +351,5 @@ def _parameter(plant: type[Plant], name: str) -> FamilyColumn:
     def text(candidate: CandidateScore, determined: Sequence[str]) -> str:
         return shown.text(candidate.parameters.get(name, nan)) + ("*" if name in determined else " ")
 
-    return f"{shown.symbol} ", f"{shown.unit} ", text  # the space leaves room for the mark after the value
+    # The spaces leave room for the mark after the value.
+    return FamilyColumn(f"{shown.symbol} ", f"{shown.unit} ", text)

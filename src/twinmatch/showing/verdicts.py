@@ -54,10 +54,17 @@ def _of_order(verdict: Verdict, write: Callable[[OrderScore], str]) -> str:
     return write(score) if score else number(None)
 
 
+def _decided(verdict: Verdict) -> str:
+    """Whether the data show which twin forecasts best; a dash without a leader."""
+    if verdict.leader is None:
+        return number(None)
+    return "yes" if verdict.decided else "no"
+
+
 COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
     "t / s": lambda v, period: number(v.sample * period, 0),
     "level": lambda v, _: v.level.value,
-    "decided": lambda v, _: number(None) if v.leader is None else "yes" if v.decided else "no",
+    "decided": lambda v, _: _decided(v),
     "order": lambda v, _: _of_order(v, lambda score: score.order),
     GAIN.label: lambda v, _: _of_order(v, lambda score: GAIN.text(score.total)),
     GAP_SUM.label: lambda v, _: _of_nominal(v, GAP_SUM.text),
@@ -94,7 +101,7 @@ def missed(verdict: Verdict) -> str:
         names = [signal.name for signal in signal_names(plant)] if plant else ["output", "control"]
         misses = list(zip(names, (verdict.miss_y, verdict.miss_u), strict=True))
     else:
-        misses = [(plant.called(each.signal), each.miss) for each in verdict.signals]
+        misses = [(plant.called(score.signal), score.miss) for score in verdict.signals]
     parts = [f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)]
     return f"{number_list(parts)} half band widths from the forecast"
 
@@ -107,19 +114,21 @@ def fault_words(verdict: Verdict, period: float) -> str:
     return named if since is None else f"{named} since {number(since * period, 0)} s"
 
 
-def estimate_words(estimate: EstimatedReading, of: Quantity, period: float) -> str:
+def estimate_words(estimate: EstimatedReading, quantity: Quantity, period: float) -> str:
     """What a sensor that is not believed should read, and for how long yet that is known well enough.
 
     `period` is the sample time, s.
     """
-    left = estimate.good - (estimate.sample - estimate.since) * period
-    good = "no longer good" if left <= 0.0 else f"good for {left / 60.0:.2g} min"
-    good = "good for at least an hour" if left >= HOUR else good
+    time_left = estimate.good - (estimate.sample - estimate.since) * period
+    good = "no longer good" if time_left <= 0.0 else f"good for {time_left / 60.0:.2g} min"
+    good = "good for at least an hour" if time_left >= HOUR else good
     value, band, wide, reading = (
         number(figure, 1) for figure in (estimate.value, estimate.band, estimate.wide, estimate.reading)
     )
-    said = f"the twin reads through {of.text or of.name}: {value} ± {band} {of.unit}".rstrip()
-    return f"{said} instead of {reading}, to ± {wide} {good}"
+    estimated = (
+        f"the twin reads through {quantity.text or quantity.name}: {value} ± {band} {quantity.unit}".rstrip()
+    )
+    return f"{estimated} instead of {reading}, to ± {wide} {good}"
 
 
 def trust_by_signal(verdict: Verdict | None) -> list[dict[str, str]]:
@@ -130,20 +139,20 @@ def trust_by_signal(verdict: Verdict | None) -> list[dict[str, str]]:
         return []
     ahead = f"at {number_list(verdict.horizons)} s"
 
-    def shares(each: Sequence[float]) -> str:
-        return ", ".join(percent(share, 0) for share in each)
+    def shares(of_horizons: Sequence[float]) -> str:
+        return ", ".join(percent(share, 0) for share in of_horizons)
 
     return [
         {
-            "signal": plant.called(of.signal),
-            "trusted / s ahead": number_list(of.trusted) if of.trusted else "at no horizon",
-            f"held {ahead} / %": shares(of.coverage),
-            f"better than no change {ahead} / %": shares(of.persistence_skill),
-            f"better than ARX {ahead} / %": shares(of.arx_skill),
-            "miss / half band": number(of.miss),
-            "newest within band / %": percent(of.inside, 0),
+            "signal": plant.called(score.signal),
+            "trusted / s ahead": number_list(score.trusted) if score.trusted else "at no horizon",
+            f"held {ahead} / %": shares(score.coverage),
+            f"better than no change {ahead} / %": shares(score.persistence_skill),
+            f"better than ARX {ahead} / %": shares(score.arx_skill),
+            "miss / half band": number(score.miss),
+            "newest within band / %": percent(score.inside, 0),
         }
-        for of in verdict.signals
+        for score in verdict.signals
     ]
 
 
@@ -300,5 +309,5 @@ def _level_event(verdict: Verdict) -> tuple[str, str]:
         since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
         return f"fault: {verdict.named_fault}", f"{verdict.reason}{since}"
     outside = verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is not None
-    more = f": {missed(verdict)}" if outside else ""
-    return verdict.level.value, f"{level_words(verdict)}{more}"
+    distance = f": {missed(verdict)}" if outside else ""
+    return verdict.level.value, f"{level_words(verdict)}{distance}"

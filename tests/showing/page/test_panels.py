@@ -53,8 +53,8 @@ def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
 def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     criteria = computed(last.modelled)
-    chosen = panels.family_table(last, every=False)
-    all_orders = panels.family_table(last, every=True)
+    chosen = panels.family_table(last, all_orders=False)
+    all_orders = panels.family_table(last, all_orders=True)
     for candidate in last.modelled:
         lines = [line for line in criterion_rows(candidate, criteria) if line.output == "total"]
         assert {cell.text for line in lines for cell in line.cells} <= set(words(all_orders))
@@ -65,7 +65,7 @@ def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     assert all_orders.count('class="best"') > 0
     assert words(chosen).count("nominal") == 1
     driven = replace(last, candidates=tuple(_without_input(c) for c in last.modelled))
-    assert panels.family_table(driven, every=True).count("<tr") == all_orders.count("<tr")
+    assert panels.family_table(driven, all_orders=True).count("<tr") == all_orders.count("<tr")
 
 
 def _without_input(candidate: CandidateScore) -> CandidateScore:
@@ -77,7 +77,7 @@ def test_before_anything_came_it_says_so() -> None:
     state = DashboardState()
     assert "waiting for the first sample" in words(panels.status(state, 0.0))
     assert "no verdict yet" in words(panels.reasons(None, 1.0))
-    assert words(panels.family_table(None, every=False)) == [
+    assert words(panels.family_table(None, all_orders=False)) == [
         "There is no candidate yet: no match has been admitted."
     ]
     assert words(panels.events_table([], 1, 1.0)) == ["Nothing has happened yet."]
@@ -109,7 +109,11 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
     named = replace(last.candidates[0], name=evil)
     verdict = replace(last, reason=evil, nominal=evil, candidates=(named,), fault=evil, certainty=evil)
     pages = [panels.alarm(state), panels.nodes(state.nodes, 0.0), panels.status(state, 0.0)]
-    pages += [panels.notice(state), panels.reasons(verdict, 1.0), panels.family_table(verdict, every=True)]
+    pages += [
+        panels.notice(state),
+        panels.reasons(verdict, 1.0),
+        panels.family_table(verdict, all_orders=True),
+    ]
     pages.append(panels.events_table([Event(3, EventKind.FAULT, evil, evil, Mark.BAD)], 1, 1.0))
     for page in pages:
         assert not re.search(r"<(script|img)", page)

@@ -113,7 +113,7 @@ def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     for row in trust_by_signal(two.verdicts[-1]):
         assert "".join(f"<td>{cell}</td>" for cell in row.values()) in reasons
     assert state.sentence == sentence(two.summary)
-    family = panels.family_table(two.verdicts[-1], every=False)
+    family = panels.family_table(two.verdicts[-1], all_orders=False)
     assert all(candidate.name in family for candidate in two.verdicts[-1].candidates)
     assert "order" not in family
 

@@ -94,23 +94,23 @@ def judge_archive(
             fail(number, f"{path}: {reason}")
             continue
         keys[number] = key_of(content, described)
-        kept = store.find(path, keys[number]) if store else None
-        if kept is not None:
-            hold(number, kept)
+        stored = store.find(path, keys[number]) if store else None
+        if stored is not None:
+            hold(number, stored)
         else:
             todo.append(Job(number, path.resolve(), content, terms))
     reused = len(records)
-    known = len(paths) - len(todo)
-    report(known, len(paths))
+    decided = len(paths) - len(todo)
+    report(decided, len(paths))
     with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
-        for done, (number, record, why) in enumerate(outcomes, known + 1):
+        for count, (number, record, why) in enumerate(outcomes, decided + 1):
             if record is None:
                 fail(number, why)
             else:
                 if store is not None:
                     store.keep(paths[number], keys[number], record)
                 hold(number, record)
-            report(done, len(paths))
+            report(count, len(paths))
     return _archive(paths, records, tuple(failed[number] for number in sorted(failed)), reused)
 
 
@@ -118,17 +118,15 @@ def _archive(
     paths: list[Path], records: dict[int, dict[str, Any]], failed: tuple[Failure, ...], reused: int
 ) -> Archive:
     """All results, in the order in which the sessions were given."""
-    held = sorted(records.items())
-    alike = Counter(record["session"] for _, record in held)
-    names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
-    return Archive(
-        sessions=tuple(
-            {"session": names[k], "path": str(paths[k]), "summary": record["summary"]} for k, record in held
-        ),
-        candidates=tuple(row | {"session": names[k]} for k, record in held for row in record["candidates"]),
-        failed=failed,
-        reused=reused,
-    )
+    count_of_name = Counter(record["session"] for record in records.values())
+    sessions: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    for number, record in sorted(records.items()):
+        path = str(paths[number])
+        name = record["session"] if count_of_name[record["session"]] == 1 else path
+        sessions.append({"session": name, "path": path, "summary": record["summary"]})
+        rows += [row | {"session": name} for row in record["candidates"]]
+    return Archive(tuple(sessions), tuple(rows), failed, reused)
 
 
 def _describe(terms: ArchiveTerms) -> str:
@@ -147,8 +145,10 @@ def _terms(
     if plant:
         plant = find_plant(plant).name
     settings = read_settings(config, plant or "")
-    given = tuple(read_candidates(candidates)) if candidates else ()
-    return ArchiveTerms(settings, given, config, document, fixed=plant is not None or config is not None)
+    initial_candidates = tuple(read_candidates(candidates)) if candidates else ()
+    return ArchiveTerms(
+        settings, initial_candidates, config, document, fixed=plant is not None or config is not None
+    )
 
 
 def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[JobResult]:

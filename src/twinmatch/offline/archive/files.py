@@ -171,12 +171,12 @@ class Store:
         """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""
         try:
             text = read_bounded(self.file_of(session), MAX_BYTES).decode("utf-8")
-            kept = parse_json(text, "a stored result")
+            stored = parse_json(text, "a stored result")
         except (OSError, UnicodeDecodeError, DocumentError):
             return None  # none yet, or another program's file
-        if not isinstance(kept, dict) or kept.get("key") != key:
+        if not isinstance(stored, dict) or stored.get("key") != key:
             return None
-        record = kept.get("result")
+        record = stored.get("result")
         return record if isinstance(record, dict) else None
 
     def keep(self, session: Path, key: str, record: dict[str, Any]) -> None:
@@ -186,10 +186,10 @@ class Store:
             ArchiveError: writing fails.
         """
         file = self.file_of(session)
-        kept = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}
+        stored = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}
         draft = file.with_name(f".{file.name}.{os.getpid()}")
         try:
-            draft.write_text(json.dumps(kept, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+            draft.write_text(json.dumps(stored, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
             draft.replace(file)
         except OSError as error:
             raise ArchiveError(f"{file}: the result cannot be written ({error.strerror})") from error

@@ -91,8 +91,8 @@ def judge_job(job: Job, place: str = "") -> JobResult:
         return JobResult(job.number, None, str(error))
     except Exception as error:  # a defect, which must not stop the other sessions
         where = traceback.extract_tb(error.__traceback__)[-1]
-        what = f"{type(error).__name__}: {error}".splitlines()[0]
-        msg = f"{job.path}: {what} (a defect in twinmatch, {where.filename} line {where.lineno})"
+        description = f"{type(error).__name__}: {error}".splitlines()[0]
+        msg = f"{job.path}: {description} (a defect in twinmatch, {where.filename} line {where.lineno})"
         return JobResult(job.number, None, msg)
 
 
@@ -113,7 +113,9 @@ def _record(job: Job) -> dict[str, Any]:
         session = replace(session, plant=session.plant or settings.plant.name)
         settings = terms_from_files(session).settings
     settings = at_period(settings, session.period, terms.config)
-    judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
+    judgement = judge_samples(
+        session.name, session.samples, settings, initial_candidates=terms.given, notes=session.notes
+    )
     entry = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
     return entry | {"candidates": _rows(judgement, entry)}
 
@@ -131,14 +133,14 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     law = judgement.settings.law
     longest = max(judgement.stretches, key=len)
     rows = []
-    for candidate, known in zip(
+    for candidate, recorded_candidate in zip(
         judgement.verdicts[-1].family, entry["verdicts"][-1]["candidates"], strict=False
     ):
-        chosen = next((o for o in known["orders"] if o["order"] == candidate.chosen_order), None)
+        chosen = next((o for o in recorded_candidate["orders"] if o["order"] == candidate.chosen_order), None)
         fits = window_fits(candidate.parameters, longest, law)
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
-            | {key: value for key, value in known.items() if key != "orders"}
+            | {key: value for key, value in recorded_candidate.items() if key != "orders"}
             | {"criteria": chosen and chosen["total"] | {key: chosen[key] for key in _OF_ORDER}}
             | {"fit": finite(fits.shown)}
         )
@@ -153,13 +155,13 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
     """
     from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415 — slow to import
 
-    left = {job.number: job for job in jobs}
+    jobs_left = {job.number: job for job in jobs}
     try:
         for outcome in _run_in_pool(jobs, min(processes, len(jobs))):
-            del left[outcome.number]
+            del jobs_left[outcome.number]
             yield outcome
     except BrokenProcessPool:
-        for job in left.values():
+        for job in jobs_left.values():
             try:
                 yield from _run_in_pool([job], 1)
             except BrokenProcessPool:
@@ -260,7 +262,7 @@ def judge_packed(packed: bytes) -> tuple[Any, ...]:
 def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[JobResult]:
     from distributed import as_completed  # noqa: PLC0415
 
-    for done, future in enumerate(as_completed(futures, loop=client.loop)):
+    for count, future in enumerate(as_completed(futures, loop=client.loop)):
         job = futures[future]
         if future.status == "finished":
             yield JobResult(*future.result())
@@ -269,7 +271,7 @@ def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Itera
             reason = f"{job.path}: the cluster could not judge it ({_line(error)})"
             yield JobResult(job.number, None, reason)
         else:
-            msg = f"scheduler {address}: connection lost after {done} of {len(futures)} sessions"
+            msg = f"scheduler {address}: connection lost after {count} of {len(futures)} sessions"
             raise ClusterError(msg)
 
 

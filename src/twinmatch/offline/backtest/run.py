@@ -66,34 +66,39 @@ class Origin:
     def ahead(self) -> FloatArray:
         """The future values that a forecast may use: the set-points, or the inputs if the loop is not known;
         shape (N,), or of several (N, r)."""
-        held = self.came.inputs if self.driven else self.came.references
-        return held[:, 0] if held.shape[1] == 1 else held
+        signals = self.came.inputs if self.driven else self.came.references
+        return signals[:, 0] if signals.shape[1] == 1 else signals
 
     @property
     def disturbances(self) -> FloatArray | None:
         """The actual disturbances from the newest sample on, shape (N + 1, d); None if there are none."""
-        held = self.stretch.part(self.sample, self.sample + self.count).disturbances
-        return held if held.size else None
+        rows = self.stretch.part(self.sample, self.sample + self.count).disturbances
+        return rows if rows.size else None
 
 
-def regular(held: Sequence[Window], every: float) -> list[int]:
+def regular(stretches_of_session: Sequence[Window], interval: float) -> list[int]:
     """The samples at regular intervals, in seconds, within each stretch."""
     samples: list[int] = []
-    for stretch in held:
-        pace = samples_within(every, stretch.period)
+    for stretch in stretches_of_session:
+        pace = samples_within(interval, stretch.period)
         samples += range(stretch.first + pace - 1, stretch.last + 1, pace)
     return samples
 
 
 def origins(
-    held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float], *, driven: bool = False
+    stretches_of_session: Sequence[Window],
+    samples: Iterable[int],
+    horizons: Sequence[float],
+    *,
+    driven: bool = False,
 ) -> list[Origin]:
     """The origins at these samples of a session's stretches, if at least the nearest of the horizons, s, from
     near to far, can be scored."""
     wanted = sorted(set(samples))
     places = []
-    for stretch in held:
-        nearest, farthest = (samples_within(horizons[k], stretch.period) for k in (0, -1))
+    for stretch in stretches_of_session:
+        nearest = samples_within(horizons[0], stretch.period)
+        farthest = samples_within(horizons[-1], stretch.period)
         places += [
             Origin(k, stretch, min(farthest, stretch.last - k), driven)
             for k in wanted
@@ -119,16 +124,16 @@ def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
             confidence=CONFIDENCE,
             time=np.arange(1, size + 1, dtype=np.float64) * past.period,
             references=np.full(size, np.nan) if origin.driven else origin.ahead,
-            outputs=of[:outputs],
-            inputs=of[outputs:],
+            outputs=bands_of_peer[:outputs],
+            inputs=bands_of_peer[outputs:],
         )
-        for name, of in zip(BASELINES, bands, strict=True)
+        for name, bands_of_peer in zip(BASELINES, bands, strict=True)
     }
 
 
 def mark(
     session: str,
-    who: str,
+    forecaster: str,
     forecast: Forecast,
     origin: Origin,
     *,
@@ -137,16 +142,16 @@ def mark(
     candidate: str = "",
 ) -> list[Marked]:
     """Score a forecast at every horizon that the session reaches and whose last sample was received."""
-    came = origin.came
-    counts = {horizon: samples_within(horizon, came.period) for horizon in horizons}
-    over = [
+    actual = origin.came
+    counts = {horizon: samples_within(horizon, actual.period) for horizon in horizons}
+    reached = [
         horizon
         for horizon, count in counts.items()
-        if count <= origin.count and (came.seen is None or came.seen[count - 1])
+        if count <= origin.count and (actual.seen is None or actual.seen[count - 1])
     ]
     return [
-        Marked(session, origin.sample, horizon, who, result, candidate)
-        for horizon, result in zip(over, marks(forecast, came, over, plant), strict=True)
+        Marked(session, origin.sample, horizon, forecaster, result, candidate)
+        for horizon, result in zip(reached, marks(forecast, actual, reached, plant), strict=True)
     ]
 
 
@@ -200,17 +205,22 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
         return replace(forecast, outputs=outputs)
     entries = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
     drives = parameters.model.plant.drives.values()
-    inputs = tuple(
-        Band(entry.mean, *(np.clip(end, *drive.limits) for end in (entry.low, entry.high)))
-        for entry, drive in zip(entries, drives, strict=True)
-    )
-    return replace(forecast, outputs=outputs, inputs=inputs)
+    inputs = []
+    for entry, drive in zip(entries, drives, strict=True):
+        low = np.clip(entry.low, *drive.limits)
+        high = np.clip(entry.high, *drive.limits)
+        inputs.append(Band(entry.mean, low, high))
+    return replace(forecast, outputs=outputs, inputs=tuple(inputs))
 
 
 def _around(bands: Sequence[Band], residuals: FloatArray, confidence: float) -> tuple[Band, ...]:
+    """The bands' means with the quantiles of the residuals around them, which hold that share."""
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
-    ends = [np.quantile(column, tails) for column in residuals.T]
-    return tuple(Band(b.mean, *(b.mean + end for end in of)) for b, of in zip(bands, ends, strict=True))
+    around = []
+    for band, column in zip(bands, residuals.T, strict=True):
+        below, above = np.quantile(column, tails)
+        around.append(Band(band.mean, band.mean + below, band.mean + above))
+    return tuple(around)
 
 
 class _Outlooks(NamedTuple):
@@ -297,12 +307,12 @@ def _outlooks(twin: Twin) -> _Outlooks:
     nominal = twin.discriminator.nominal
     names = forecaster.names
     structures = twin.settings.plant.structures
-    who = {
+    candidate_of = {
         LEADER: forecaster.leader,
         NOMINAL: nominal.name if nominal else None,
         NEWEST: next((name for name in names if name not in structures), None),
     }
-    parts = {part: name for part, name in who.items() if name in names}
+    parts = {part: name for part, name in candidate_of.items() if name in names}
     return _Outlooks({name: forecaster.outlook(name) for name in names}, parts, forecaster.arx)
 
 
@@ -313,20 +323,20 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     with one_thread():
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
-    made = [(who, name, forecasts[name]) for who, name in asked.who.items()]
+    of_roles = [(role, name, forecasts[name]) for role, name in asked.who.items()]
     if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-        name = asked.who[NOMINAL]
+        nominal = asked.who[NOMINAL]
         with one_thread():
-            parameters = asked.outlooks[name].parameters
-            same = with_constant_band(forecasts[name], parameters, origin.past, settings.law)
-        made.append((CONSTANT, name, same))
-    peers = ask(asked.arx, origin)
+            parameters = asked.outlooks[nominal].parameters
+            constant = with_constant_band(forecasts[nominal], parameters, origin.past, settings.law)
+        of_roles.append((CONSTANT, nominal, constant))
+    of_candidates = [(name, name, forecast) for name, forecast in forecasts.items()]
+    asked_peers = ask(asked.arx, origin)
+    of_peers = [(PEERS[name], "", asked_peers[name]) for name in names]
     marked = []
     for k, plant in outputs_alone(settings.plant):
         scored = partial(scores, session, horizons, origin.alone(k), plant, k)
-        best = best_in_hindsight(scored((name, name, forecast) for name, forecast in forecasts.items()))
-        others = scored((PEERS[name], "", peers[name]) for name in names)
-        marked.append([*scored(made), *best, *others])
+        marked.append([*scored(of_roles), *best_in_hindsight(scored(of_candidates)), *scored(of_peers)])
     return _Graded(marked, forecasts[asked.who[LEADER]])
 
 
@@ -336,12 +346,14 @@ def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
     origin: Origin,
     plant: type[Plant],
     k: int,
-    made: Iterable[tuple[str, str, Forecast]],
+    forecasts: Iterable[tuple[str, str, Forecast]],
 ) -> Iterator[Marked]:
     """The scores of the k-th output in forecasts; with each, its forecaster's and its candidate's name."""
-    for who, candidate, forecast in made:
-        own = forecast.alone(k)
-        yield from mark(session, who, own, origin, horizons=horizons, plant=plant, candidate=candidate)
+    for forecaster, candidate, forecast in forecasts:
+        of_output = forecast.alone(k)
+        yield from mark(
+            session, forecaster, of_output, origin, horizons=horizons, plant=plant, candidate=candidate
+        )
 
 
 def outputs_alone(plant: type[Plant]) -> list[tuple[int, type[Plant]]]:
@@ -391,28 +403,33 @@ def graded_outputs(
     spoilt = unasked = 0
     total = len(listener.graded)
     with held_interrupts() as check_interrupt:
-        for done, (sample, result) in enumerate(reversed(listener.graded.items())):
-            kept = [
+        for count, (sample, result) in enumerate(reversed(listener.graded.items())):
+            unspoilt_horizons = [
                 h
                 for h in listener.horizons
                 if not listener.spoilt(sample, sample + samples_within(h, period))
             ]
-            if not kept:
+            if not unspoilt_horizons:
                 spoilt += 1
             elif result is None:
                 unasked += 1
             else:
-                results.append((result(), kept))
+                results.append((result(), unspoilt_horizons))
             if watch is not None:
-                watch(done * len(judgement.samples) // total, len(judgement.samples))
+                watch(count * len(judgement.samples) // total, len(judgement.samples))
             check_interrupt()
     results.reverse()
     tests = []
     for k, alone in outputs_alone(plant):
-        everything = [one for result, kept in results for one in result.marked[k] if one.horizon in kept]
-        marked = common(everything)
-        judged = {one.sample for one in marked}
-        made = one_after_another(result.shown for result, _ in results if result.shown.sample in judged)
+        all_marks = [
+            mark
+            for result, unspoilt_horizons in results
+            for mark in result.marked[k]
+            if mark.horizon in unspoilt_horizons
+        ]
+        marked = common(all_marks)
+        judged = {mark.sample for mark in marked}
+        pictured = one_after_another(result.shown for result, _ in results if result.shown.sample in judged)
         tests.append(
             Backtest(
                 name=judgement.name if alone is plant else named_after(judgement.name, alone),
@@ -422,8 +439,8 @@ def graded_outputs(
                 confidence=CONFIDENCE,
                 marked=tuple(marked),
                 came=tuple(window.alone(k) for window in listener.held),
-                shown=tuple(forecast.alone(k) for forecast in made),
-                notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
+                shown=tuple(forecast.alone(k) for forecast in pictured),
+                notes=tuple(_notes(total, judged, all_marks, spoilt, unasked)),
                 last=judgement.verdicts[-1] if judgement.verdicts else None,
             )
         )
@@ -448,9 +465,9 @@ def _notes(
     if spoilt:
         yield f"{spoilt} of {asked} forecasts are left out: the plant had a fault"
     answered: dict[int, set[str]] = {}
-    for one in marked:
-        answered.setdefault(one.sample, set()).add(one.who)
-    everybody = {one.who for one in marked}
+    for mark in marked:
+        answered.setdefault(mark.sample, set()).add(mark.who)
+    everybody = {mark.who for mark in marked}
     short = [everybody - names for sample, names in answered.items() if sample not in judged]
     if short:
         names = ", ".join(sorted(set().union(*short) - {CONSTANT}))

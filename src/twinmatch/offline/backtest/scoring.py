@@ -116,18 +116,23 @@ def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: ty
     if came.first != forecast.sample + 1:
         msg = f"backtest: a forecast made at sample {forecast.sample} cannot be scored from {came.first} on"
         raise BacktestError(msg)
-    held = min(len(came), forecast.output.mean.size, forecast.input.mean.size)
+    comparable = min(len(came), forecast.output.mean.size, forecast.input.mean.size)
     counts = [samples_within(horizon, came.period) for horizon in horizons]
     for horizon, count in zip(horizons, counts, strict=True):
-        if held < count:
-            msg = f"backtest: a horizon of {horizon:g} s needs {count} samples; only {held} can be compared"
+        if comparable < count:
+            needed = f"a horizon of {horizon:g} s needs {count} samples"
+            msg = f"backtest: {needed}; only {comparable} can be compared"
             raise BacktestError(msg)
     confidence = forecast.confidence
-    seen = came.seen
-    outputs = _signal(forecast.output, came.output, plant.output.noise, confidence, counts, seen=seen)
+    is_received = came.seen
+    outputs = _signal(
+        forecast.output, came.output, plant.output.noise, confidence, counts, is_received=is_received
+    )
     if not forecast.closed:
         return [Marks(output, None) for output in outputs]
-    inputs = _signal(forecast.input, came.input, plant.drive.noise, confidence, counts, seen=seen)
+    inputs = _signal(
+        forecast.input, came.input, plant.drive.noise, confidence, counts, is_received=is_received
+    )
     return list(map(Marks, outputs, inputs))
 
 
@@ -138,20 +143,23 @@ def _signal(
     confidence: float,
     counts: Sequence[int],
     *,
-    seen: BoolArray | None,
+    is_received: BoolArray | None,
 ) -> list[SignalMarks]:
-    held = max(counts, default=0)
-    x, mean, low, high = (a[:held] / noise for a in (came, band.mean, band.low, band.high))
-    error = x - mean
+    longest = max(counts, default=0)
+    x = came[:longest] / noise
+    low = band.low[:longest] / noise
+    high = band.high[:longest] / noise
+    error = x - band.mean[:longest] / noise
     inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
     scores = interval_score(low, high, x, confidence)
-    everything = np.array([inside, high - low, scores])
-    made = []
+    inside_width_score = np.array([inside, high - low, scores])
+    marks_by_horizon = []
     for count in counts:
-        received = slice(count) if seen is None else np.flatnonzero(seen[:count])
-        coverage, width, score = everything[:, received].mean(axis=1).tolist()
-        made.append(SignalMarks(float(rms(error[received])), float(error[count - 1]), coverage, width, score))
-    return made
+        received = slice(count) if is_received is None else np.flatnonzero(is_received[:count])
+        coverage, width, score = inside_width_score[:, received].mean(axis=1).tolist()
+        error_of_path = float(rms(error[received]))
+        marks_by_horizon.append(SignalMarks(error_of_path, float(error[count - 1]), coverage, width, score))
+    return marks_by_horizon
 
 
 HINDSIGHT = "best in hindsight"
@@ -212,19 +220,19 @@ def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
     """The forecast with the least error for every origin and horizon, under the name `HINDSIGHT`; of equal
     ones the first."""
     best: dict[tuple[str, int, float], Marked] = {}
-    for one in marked:
-        if one.place not in best or one.marks.error < best[one.place].marks.error:
-            best[one.place] = one
-    return [replace(one, who=HINDSIGHT) for one in best.values()]
+    for mark in marked:
+        if mark.place not in best or mark.marks.error < best[mark.place].marks.error:
+            best[mark.place] = mark
+    return [replace(mark, who=HINDSIGHT) for mark in best.values()]
 
 
 def common(marked: Sequence[Marked]) -> list[Marked]:
     """Only the forecasts that every forecaster made, so that all are compared on the same samples."""
-    names = {one.who for one in marked}
+    names = {mark.who for mark in marked}
     asked: dict[tuple[str, int, float], set[str]] = {}
-    for one in marked:
-        asked.setdefault(one.place, set()).add(one.who)
-    return [one for one in marked if asked[one.place] == names]
+    for mark in marked:
+        asked.setdefault(mark.place, set()).add(mark.who)
+    return [mark for mark in marked if asked[mark.place] == names]
 
 
 def cards(marked: Sequence[Marked]) -> list[Card]:
@@ -232,35 +240,36 @@ def cards(marked: Sequence[Marked]) -> list[Card]:
 
     Marks of several sessions give the cards over all: every forecast has the same weight.
     """
-    best = {one.place: one.marks.error for one in marked if one.who == HINDSIGHT}
+    best = {mark.place: mark.marks.error for mark in marked if mark.who == HINDSIGHT}
     groups: dict[str, dict[float, list[Marked]]] = {}
-    for one in marked:
-        groups.setdefault(one.who, {}).setdefault(one.horizon, []).append(one)
+    for mark in marked:
+        groups.setdefault(mark.who, {}).setdefault(mark.horizon, []).append(mark)
     return [
-        _card(who, horizon, held, best)
-        for who, by_horizon in groups.items()
-        for horizon, held in sorted(by_horizon.items())
+        _card(forecaster, horizon, marks_of_card, best)
+        for forecaster, by_horizon in groups.items()
+        for horizon, marks_of_card in sorted(by_horizon.items())
     ]
 
 
 def _card(
-    who: str, horizon: float, held: Sequence[Marked], best: dict[tuple[str, int, float], float]
+    forecaster: str,
+    horizon: float,
+    marked: Sequence[Marked],
+    best: dict[tuple[str, int, float], float],
 ) -> Card:
-    errors = np.array([one.marks.error for one in held])
-    least = np.array([best.get(one.place, np.nan) for one in held])
+    """The card of one forecaster at one horizon; `best` are the least errors at each origin."""
+    errors = np.array([mark.marks.error for mark in marked])
+    least = np.array([best.get(mark.place, np.nan) for mark in marked])
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(errors == least, 1.0, errors / least)
-    signals = [one.marks.output for one in held], [one.marks.input for one in held]
-    both = [[s for s in pair if s is not None] for pair in zip(*signals, strict=True)]
-    if None in signals[1]:  # the input was given, at least to some
-        both = [[output] for output in signals[0]]
-    ends = _pair(np.median(np.abs([[s.end for s in pair] for pair in both]), axis=0))
-    coverages = _pair(np.mean([[s.coverage for s in pair] for pair in both], axis=0))
-    widths = _pair(np.median([[s.width for s in pair] for pair in both], axis=0))
+    signals = _scored_signals([mark.marks for mark in marked])
+    ends = _pair(np.median(np.abs(_figures("end", signals)), axis=0))
+    coverages = _pair(np.mean(_figures("coverage", signals), axis=0))
+    widths = _pair(np.median(_figures("width", signals), axis=0))
     return Card(
-        who=who,
+        who=forecaster,
         horizon=horizon,
-        count=len(held),
+        count=len(marked),
         median=float(np.median(errors)),
         nine_in_ten=float(np.quantile(errors, 0.9)),
         ratio=float(np.mean(ratios)),
@@ -270,8 +279,23 @@ def _card(
         coverage_input=float(coverages[1]),
         width_output=float(widths[0]),
         width_input=float(widths[1]),
-        score=float(np.mean([one.marks.score for one in held])),
+        score=float(np.mean([mark.marks.score for mark in marked])),
     )
+
+
+def _scored_signals(marks_of_forecasts: Sequence[Marks]) -> list[list[SignalMarks]]:
+    """Of each forecast the marks of output and input; of the output only if the input was given to some."""
+    with_inputs = []
+    for forecast in marks_of_forecasts:
+        if forecast.input is None:
+            return [[forecast.output] for forecast in marks_of_forecasts]
+        with_inputs.append([forecast.output, forecast.input])
+    return with_inputs
+
+
+def _figures(name: str, signals: Sequence[Sequence[SignalMarks]]) -> FloatArray:
+    """One figure of the signals of every forecast, shape (N, 1 or 2)."""
+    return np.array([[getattr(signal, name) for signal in of_forecast] for of_forecast in signals])
 
 
 def _pair(figures: FloatArray) -> tuple[float, float]:
@@ -324,35 +348,39 @@ class Backtest:
     @property
     def at_horizons(self) -> dict[float, list[Card]]:
         """The cards of each horizon with scored forecasts, from near to far."""
-        by_horizon = {h: [card for card in self.cards if card.horizon == h] for h in self.horizons}
-        return {horizon: held for horizon, held in by_horizon.items() if held}
+        by_horizon: dict[float, list[Card]] = {}
+        for horizon in self.horizons:
+            cards_of_horizon = [card for card in self.cards if card.horizon == horizon]
+            if cards_of_horizon:
+                by_horizon[horizon] = cards_of_horizon
+        return by_horizon
 
     @property
     def driven(self) -> bool:
         """Whether the loop is not known and inputs were given; inputs are then not scored."""
-        return any(one.marks.input is None for one in self.marked)
+        return any(mark.marks.input is None for mark in self.marked)
 
     @property
     def origins(self) -> int:
         """Number of samples at which forecasts were made and scored at some horizon."""
-        return len({(one.session, one.sample) for one in self.marked})
+        return len({(mark.session, mark.sample) for mark in self.marked})
 
 
 def over_all(tests: Sequence[Backtest]) -> Backtest:
     """Combine several sessions of one plant; every forecast has the same weight."""
     first = tests[0]
-    names = [each.name for each in tests]
+    names = [test.name for test in tests]
     marked: list[Marked] = []
-    for number, each in enumerate(tests, 1):
-        mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name
-        marked += [replace(one, session=mine) for one in each.marked]
+    for number, test in enumerate(tests, 1):
+        distinct_name = f"{test.name} ({number})" if names.count(test.name) > 1 else test.name
+        marked += [replace(mark, session=distinct_name) for mark in test.marked]
     return replace(
         first,
         name=f"all {len(tests)} sessions",
         marked=tuple(marked),
         pictured=first.name,
         last=None,
-        notes=tuple(f"{each.name}: {note}" for each in tests for note in each.notes),
+        notes=tuple(f"{test.name}: {note}" for test in tests for note in test.notes),
         health=None,
     )
 
@@ -376,14 +404,14 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
     if forecasts:
         tree["forecasts"] = [
             {
-                "session": one.session,
-                "sample": one.sample,
-                "horizon": one.horizon,
-                "who": one.who,
-                "candidate": one.candidate,
-                "error": one.marks.error,
-                **finite(asdict(one.marks)),
+                "session": mark.session,
+                "sample": mark.sample,
+                "horizon": mark.horizon,
+                "who": mark.who,
+                "candidate": mark.candidate,
+                "error": mark.marks.error,
+                **finite(asdict(mark.marks)),
             }
-            for one in backtest.marked
+            for mark in backtest.marked
         ]
     return tree

@@ -89,8 +89,8 @@ def backtest_outputs(
         kind = plant_named(session.plant) if session.plant else Peltier
         if len(kind.outputs) == 1 and len(kind.drives) == 1:
             terms = terms_from_files(session, config, candidates)
-            own = work if portable(terms.settings.plant) else None
-            test = backtest(session, terms, choices, watch=watch, work=own)
+            portable_work = work if portable(terms.settings.plant) else None
+            test = backtest(session, terms, choices, watch=watch, work=portable_work)
             return (replace(test, notes=(*session.missing, *test.notes)),)
         if config or candidates:
             raise BacktestError(
@@ -132,34 +132,38 @@ def backtest_each(
 ) -> tuple[Backtest, ...]:
     """The backtests of all outputs of a plant on a session; see `backtest_outputs`."""
     period = session.period
-    held = stretches(session.samples, session.period)
+    without_gaps = stretches(session.samples, session.period)
     settings = ForecastSettings.of(plant_scale(plant, period), period)
     horizons = choices.ahead(settings.horizons, period)
     split = session.samples[int(FITTED * len(session.samples))].index
-    every = SPARSER * settings.every if choices.every is None else choices.every
-    wanted = [k for k in regular(held, every) if k >= split]
-    places = {origin.sample: origin for origin in origins(held, wanted, horizons, driven=True)}
+    interval = SPARSER * settings.every if choices.every is None else choices.every
+    wanted = [k for k in regular(without_gaps, interval) if k >= split]
+    places = {origin.sample: origin for origin in origins(without_gaps, wanted, horizons, driven=True)}
     if not places:
         raise BacktestError(
             f"backtest: the last {100 * (1 - FITTED):.0f} % of {session.name} are shorter than "
             f"{horizons[0]:g} s; record longer, or choose a shorter --horizon"
         )
     forecaster = Forecaster(None, settings, period=period)
-    forecaster.enter(_fitted(plant, [_before(window, split) for window in held if window.first < split]))
+    forecaster.enter(
+        _fitted(plant, [_before(window, split) for window in without_gaps if window.first < split])
+    )
     marked: list[list[Marked]] = [[] for _ in plant.outputs]
     shown: list[Forecast] = []
     arx = None
-    for done, sample in enumerate(session.samples):
+    for count, sample in enumerate(session.samples):
         forecaster.push(sample)
         if sample.index in places:
             origin = places[sample.index]
             arx = arx or forecaster.arx
-            made = _forecasts(forecaster, arx, origin, choices.peers)
+            forecasts = _forecasts(forecaster, arx, origin, choices.peers)
             for k, alone in outputs_alone(plant):
-                marked[k] += _marked(partial(scores, session.name, horizons, origin.alone(k), alone, k), made)
-            shown.append(made[LEADER])
+                marked[k] += _marked(
+                    partial(scores, session.name, horizons, origin.alone(k), alone, k), forecasts
+                )
+            shown.append(forecasts[LEADER])
             if watch is not None:
-                watch(done, len(session.samples))
+                watch(count, len(session.samples))
     fitted = f"fitted to the samples before {split}; forecasts are of those after, under the recorded inputs"
     return tuple(
         Backtest(
@@ -169,7 +173,7 @@ def backtest_each(
             horizons=horizons,
             confidence=shown[0].confidence,
             marked=tuple(common(marked[k])),
-            came=tuple(window.alone(k) for window in held),
+            came=tuple(window.alone(k) for window in without_gaps),
             shown=tuple(forecast.alone(k) for forecast in one_after_another(shown)),
             notes=(fitted,),
         )
@@ -203,18 +207,21 @@ def _forecasts(
     rows = np.hstack([past.outputs, past.inputs, past.disturbances])[: -len(arx.past) - 1 : -1]
     asked = ask(arx._replace(past=np.ascontiguousarray(rows)), origin)
     with one_thread():
-        made = {
+        of_structures = {
             name: forecaster.outlook(name).forecast(origin.ahead, origin.disturbances)
             for name in forecaster.names
         }
-    leader = made[forecaster.leader or forecaster.names[0]]
-    return {LEADER: leader, **made, **{PEERS[name]: asked[name] for name in peers}}
+    leader = of_structures[forecaster.leader or forecaster.names[0]]
+    return {LEADER: leader, **of_structures, **{PEERS[name]: asked[name] for name in peers}}
 
 
-def _marked(scored: Callable[..., Iterator[Marked]], made: dict[str, Forecast]) -> list[Marked]:
+def _marked(scored: Callable[..., Iterator[Marked]], forecasts: dict[str, Forecast]) -> list[Marked]:
     """The marks of one output's forecasts, and those of the best of the structures."""
-    kinds: tuple[list[tuple[str, str, Forecast]], ...] = ([], [])
-    for who, forecast in made.items():
-        kinds[bool(forecast.structure) and who != LEADER].append((who, "", forecast))
-    others, twins = kinds
-    return [*scored(others), *best_in_hindsight(scored(twins))]
+    of_structures = []
+    of_others = []
+    for forecaster, forecast in forecasts.items():
+        if forecast.structure and forecaster != LEADER:
+            of_structures.append((forecaster, "", forecast))
+        else:
+            of_others.append((forecaster, "", forecast))
+    return [*scored(of_others), *best_in_hindsight(scored(of_structures))]

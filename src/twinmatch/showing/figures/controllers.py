@@ -35,9 +35,11 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
         _draw(axes[j], answer, "outputs", j)
         axes[j].set_ylabel(with_unit(name.replace("_", " "), output.unit))
     for i, (name, drive) in enumerate(drives):
-        each = axes[len(outputs) + i]
-        _draw(each, answer, "inputs", i)
-        each.set_ylabel(drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit))
+        input_axes = axes[len(outputs) + i]
+        _draw(input_axes, answer, "inputs", i)
+        input_axes.set_ylabel(
+            drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit)
+        )
     axes[-1].set_xlabel("time / s")
     axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
@@ -45,11 +47,11 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
 
 
 @styled
-def draw_experiment(found: NextExperiment) -> Figure:
+def draw_experiment(experiment: NextExperiment) -> Figure:
     """A row for each output with the bands of all twins, then one for each command."""
-    plant = found.leader.parameters.model.plant
-    rows = found.course.rows
-    terms = found.terms
+    plant = experiment.leader.parameters.model.plant
+    rows = experiment.course.rows
+    terms = experiment.terms
     time = np.arange(len(rows), dtype=np.float64) * terms.holding.period
     outputs = list(plant.outputs.items())
     drives = list(plant.drives.items())
@@ -62,24 +64,27 @@ def draw_experiment(found: NextExperiment) -> Figure:
     for j in range(len(outputs)):
         if terms.holding.law is not None:
             draw_set_point(axes[j], time, rows[:, j], 0.9, named=not j)
-        for k, run in enumerate(found.course.runs):
-            middle = run.outputs[:, j]
-            half = run.bands[:, j]
-            label = "all twins, with their 90 % bands" if not k else None
-            axes[j].plot(time, middle, color=CLOSED, lw=0.8, label=label)
-            axes[j].fill_between(time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0)
+        for k, run in enumerate(experiment.course.runs):
+            _draw_run(axes[j], time, run.outputs[:, j], run.bands[:, j], named=not k)
     for i in range(len(drives)):
-        for run in found.course.runs:
+        for run in experiment.course.runs:
             axes[len(outputs) + i].plot(time, run.inputs[:, i], color=CLOSED, lw=0.8)
     axes[-1].set_xlabel("time / s")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
-def _draw(axes: Axes, answer: ControllerAnswer, which: str, place: int) -> None:
+def _draw_run(axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray, *, named: bool) -> None:
+    """One twin's output with its band of this half width."""
+    label = "all twins, with their 90 % bands" if named else None
+    axes.plot(time, middle, color=CLOSED, lw=0.8, label=label)
+    axes.fill_between(time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0)
+
+
+def _draw(axes: Axes, answer: ControllerAnswer, kind: str, place: int) -> None:
     if answer.running is not None:
-        _band(axes, answer.time, getattr(answer.running, which)[:, :, place], PLANT, "law that ran")
-    _band(axes, answer.time, getattr(answer.courses, which)[:, :, place], CLOSED, "law that is tried")
+        _band(axes, answer.time, getattr(answer.running, kind)[:, :, place], PLANT, "law that ran")
+    _band(axes, answer.time, getattr(answer.courses, kind)[:, :, place], CLOSED, "law that is tried")
     axes.margins(x=0.01)
 
 

@@ -51,8 +51,8 @@ def stack(figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = No
     grid = figure.add_gridspec(**shape) if cell is None else cell.subgridspec(**shape)
     for row in range(len(ratios)):
         axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
-    for each in axes[:-1]:
-        each.tick_params(labelbottom=False)
+    for upper in axes[:-1]:
+        upper.tick_params(labelbottom=False)
     return axes
 
 
@@ -133,8 +133,8 @@ def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
 def name_signals(axes: Sequence[Axes], signals: ShownSignals, difference: str) -> None:
     """Label output, input, and the differences of both, as far as there are axes."""
     labels = [signal.label for signal in signals] + [with_unit(difference, signal.unit) for signal in signals]
-    for each, label in zip(axes, labels, strict=False):
-        each.set_ylabel(label)
+    for signal_axes, label in zip(axes, labels, strict=False):
+        signal_axes.set_ylabel(label)
 
 
 def empty(axes: Axes, words: str) -> None:

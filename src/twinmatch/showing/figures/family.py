@@ -160,8 +160,8 @@ def draw_parameters(
         "admitted": [m for m in fitted if m.sample in joined and m.match is not nominal],
         "nominal": [m for m in fitted if m.match is nominal],
     }
-    for each, name in zip(axes, names, strict=True):
-        _draw_parameter(each, groups, parameter_format(plant, name), period)
+    for parameter_axes, name in zip(axes, names, strict=True):
+        _draw_parameter(parameter_axes, groups, parameter_format(plant, name), period)
     axes[-1].set_xlabel("time since the session began / s")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     figure.align_ylabels(axes)
@@ -177,7 +177,7 @@ def _draw_parameter(
         "admitted": {"color": PLANT, "marker": "o", "ms": 4},
         "nominal": {"color": CLOSED, "marker": "D", "ms": 7},
     }
-    everything: list[float] = []
+    all_values: list[float] = []
     for name, group in groups.items():
         points = {m.sample * period: m.match for m in group if shown.name in m.match.free}
         if not points:
@@ -188,9 +188,9 @@ def _draw_parameter(
         # No bar is drawn to an unbounded or unknown end.
         spread = np.abs(np.where(np.isfinite(ends), ends, values) - values)
         axes.errorbar(list(points), values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
-        everything += values.tolist()
-    low = min(everything)
-    high = max(everything)
+        all_values += values.tolist()
+    low = min(all_values)
+    high = max(all_values)
     margin = 0.25 * (high - low) + 0.05 * abs(high) + 1e-9
     axes.set_ylim(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin)
 

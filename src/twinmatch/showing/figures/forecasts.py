@@ -60,11 +60,13 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
             control.set_ylabel(signals.input.label)
         if k + columns >= len(fans):
             control.set_xlabel("time after that sample / s")
-    known: dict[str, Artist] = {}  # each label once
+    line_of_label: dict[str, Artist] = {}  # each label once
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            known.setdefault(str(label), line)
-    figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=len(known))
+            line_of_label.setdefault(str(label), line)
+    figure.legend(
+        list(line_of_label.values()), list(line_of_label), loc="outside upper right", ncols=len(line_of_label)
+    )
     return figure
 
 
@@ -72,16 +74,16 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     forecast = fan.forecast
     past = fan.past
     measured = fan.measured
-    known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
+    past_time = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
-        draw_set_point(output, np.concatenate([known, forecast.time]), set_points, 0.9, named=True)
+        draw_set_point(output, np.concatenate([past_time, forecast.time]), set_points, 0.9, named=True)
     for axes, band, before, after in (
         (output, forecast.output, past.output, None if measured is None else measured.output),
         (control, forecast.input, past.input, None if measured is None else measured.input),
     ):
         _fill(axes, forecast.time, band, label=_BAND)
-        axes.plot(known, before, color=PLANT, lw=1.1, label="measured before")
+        axes.plot(past_time, before, color=PLANT, lw=1.1, label="measured before")
         if after is not None:
             time = forecast.time[: after.size]
             dotted = (0, (1, 1))
@@ -125,15 +127,15 @@ def draw_backtest(backtest: Backtest) -> Figure:
     figure = new_figure(11, 9.5)
     grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 1.8, 1.2, 1.2))
     cards = backtest.cards
-    errors, held = (figure.add_subplot(grid[0, k]) for k in range(2))
+    errors, coverage = (figure.add_subplot(grid[0, k]) for k in range(2))
     if cards:
         looks = _looks(cards)
         _draw_errors(errors, cards, backtest.horizons, looks)
-        _draw_coverage(held, backtest, cards, looks)
+        _draw_coverage(coverage, backtest, cards, looks)
         figure.legend(*errors.get_legend_handles_labels(), loc="outside upper center", ncols=len(looks))
     else:
         empty(errors, "no forecast could be judged")
-        held.set_axis_off()
+        coverage.set_axis_off()
     output = figure.add_subplot(grid[1, :])
     axes = (output, *(figure.add_subplot(grid[row, :], sharex=output) for row in (2, 3)))
     for k, window in enumerate(backtest.came):
@@ -156,10 +158,14 @@ def _marks(
     cards: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
 ) -> Iterator[tuple[str, list[float], list[Card]]]:
     """Every forecaster with its cards and their places, side by side around the horizons."""
-    for k, who in enumerate(looks):
+    for k, forecaster in enumerate(looks):
         shift = (k - (len(looks) - 1) / 2) * 0.8 / len(looks)
-        own = [card for card in cards if card.who == who]
-        yield who, [horizons.index(card.horizon) + shift for card in own], own
+        cards_of_forecaster = [card for card in cards if card.who == forecaster]
+        yield (
+            forecaster,
+            [horizons.index(card.horizon) + shift for card in cards_of_forecaster],
+            cards_of_forecaster,
+        )
 
 
 def _draw_errors(
@@ -168,11 +174,11 @@ def _draw_errors(
     """Median, and a line up to the value below which nine in ten are."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
 
-    for who, places, own in _marks(cards, horizons, looks):
-        colour, marker = looks[who]
-        medians = [c.median for c in own]
-        axes.vlines(places, medians, [c.nine_in_ten for c in own], color=colour, lw=1.2)
-        axes.plot(places, medians, marker, color=colour, ms=6, label=who)
+    for forecaster, places, cards_of_forecaster in _marks(cards, horizons, looks):
+        colour, marker = looks[forecaster]
+        medians = [c.median for c in cards_of_forecaster]
+        axes.vlines(places, medians, [c.nine_in_ten for c in cards_of_forecaster], color=colour, lw=1.2)
+        axes.plot(places, medians, marker, color=colour, ms=6, label=forecaster)
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_minor_locator(NullLocator())
@@ -186,10 +192,17 @@ def _draw_coverage(
     axes: Axes, backtest: Backtest, cards: Sequence[Card], looks: dict[str, tuple[str, str]]
 ) -> None:
     """Share of the samples in the band: output filled, input hollow."""
-    for who, places, own in _marks(cards, backtest.horizons, looks):
-        colour, marker = looks[who]
-        axes.plot(places, [100 * c.coverage_output for c in own], marker, color=colour, ms=6)
-        axes.plot(places, [100 * c.coverage_input for c in own], marker, color=colour, ms=6, mfc="white")
+    for forecaster, places, cards_of_forecaster in _marks(cards, backtest.horizons, looks):
+        colour, marker = looks[forecaster]
+        axes.plot(places, [100 * c.coverage_output for c in cards_of_forecaster], marker, color=colour, ms=6)
+        axes.plot(
+            places,
+            [100 * c.coverage_input for c in cards_of_forecaster],
+            marker,
+            color=colour,
+            ms=6,
+            mfc="white",
+        )
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
     words = signal_names(backtest.plant)
     of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
@@ -206,36 +219,36 @@ def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
 
 def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool) -> None:
     """Draw a forecast of the leader, mean and band, and the output's error within the band."""
-    output, left, entry = axes
+    output, error_axes, entry = axes
     hidden = "" if first else "_"
     time = forecast.sample * backtest.period + forecast.time
     shown = ((output, forecast.output), (entry, forecast.input))
-    for each, band in shown if forecast.closed else shown[:1]:
-        _fill(each, time, band, label=f"{hidden}band")
-        each.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
+    for signal_axes, band in shown if forecast.closed else shown[:1]:
+        _fill(signal_axes, time, band, label=f"{hidden}band")
+        signal_axes.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
     band = forecast.output
-    _fill(left, time, band, around=band.mean)
+    _fill(error_axes, time, band, around=band.mean)
     for window in backtest.came:
         if window.first <= forecast.sample <= window.last - time.size:
             came = window.part(forecast.sample + 1, forecast.sample + time.size).output
-            left.plot(time, came - band.mean, color=PLANT, lw=0.8)
+            error_axes.plot(time, came - band.mean, color=PLANT, lw=0.8)
 
 
 def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
-    output, left, entry = axes
+    output, error_axes, entry = axes
     words = signal_names(backtest.plant)
     if backtest.shown:
         begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
         reach = float(backtest.shown[-1].time[-1])
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
-    whose = backtest.pictured or backtest.name
-    output.set_title(f"{whose}: forecasts of the leader")
+    name = backtest.pictured or backtest.name
+    output.set_title(f"{name}: forecasts of the leader")
     output.set_ylabel(words.output.label)
-    left.set_ylabel(with_unit("measured − forecast", words.output.unit))
-    left.axhline(0, color=SET_POINT, lw=0.6)
+    error_axes.set_ylabel(with_unit("measured − forecast", words.output.unit))
+    error_axes.axhline(0, color=SET_POINT, lw=0.6)
     entry.set_ylabel(words.input.label)
     entry.set_xlabel("time since the session began / s")
-    for each in (output, left):
-        each.tick_params(labelbottom=False)
+    for upper in (output, error_axes):
+        upper.tick_params(labelbottom=False)
     if output.get_legend_handles_labels()[0]:
         output.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,9 +19,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NINETY = 1.645
-_MOST_NAMES = 30
-_TITLE = 90
-"""Characters in a line of a title."""
+
+
+@dataclass(frozen=True)
+class _NameLimits:
+    """How names are written."""
+
+    most: int = 30
+    """Most names below the axis; of more sessions every second, third, … is named."""
+    title: int = 90
+    """Characters in a line of a title."""
+
+
+_NAMES: Final = _NameLimits()
 
 
 @styled
@@ -34,18 +45,18 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
     free = lessons[0].free
     figure = new_figure(max(6.0, min(0.5 * len(lessons) + 3.0, 16.0)), 1.5 * len(free) + 0.8)
     places = np.arange(len(lessons))
-    names = [one.name for one in lessons]
+    names = [lesson.name for lesson in lessons]
     for k, (axes, name) in enumerate(zip(stack(figure, [1.0] * len(free)), free, strict=True)):
         shown = parameter_format(plant, name)
-        values = [shown.shown(one.parameters[name]) for one in lessons]
-        errors = [_NINETY * shown.factor * float(one.deviations[k]) for one in lessons]
+        values = [shown.shown(lesson.parameters[name]) for lesson in lessons]
+        errors = [_NINETY * shown.factor * float(lesson.deviations[k]) for lesson in lessons]
         axes.errorbar(places, values, yerr=errors, fmt="o", ms=4, capsize=3, color=PLANT)
         axes.set_ylabel(shown.label)
         for change in report.changes:
             if change.name == name:
                 _mark(axes, change, [shown.shown(level) for level in (change.old, change.new)], names)
-    every = max(1, -(-len(lessons) // _MOST_NAMES))
-    axes.set_xticks(places[::every], names[::every], rotation=45, ha="right")
+    interval = max(1, -(-len(lessons) // _NAMES.most))
+    axes.set_xticks(places[::interval], names[::interval], rotation=45, ha="right")
     return figure
 
 
@@ -56,4 +67,4 @@ def _mark(axes: Axes, change: ParameterChange, levels: list[float], names: list[
     trend = np.linspace(levels[0], levels[1], len(names))
     line = np.where(places >= names.index(change.since), levels[1], levels[0]) if step else trend
     axes.plot(places, line, color=MODEL, lw=1.5, drawstyle="steps-mid" if step else "default")
-    axes.set_title(fill(change.sentence, _TITLE), fontsize=8)
+    axes.set_title(fill(change.sentence, _NAMES.title), fontsize=8)

@@ -52,12 +52,11 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
 
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
-    shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = (
-        compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
-    )
+    parts = _compared(samples, verdicts, settings)
     closed = settings.law is not None
-    rows = (4 if closed else 3) if parts else 2
+    rows = 2
+    if parts:
+        rows = 4 if closed else 3
     loops = channels(settings.plant)
     figure, stacks = columns(10, 1.75 * rows, (3, 2, 1.6, 1.6)[:rows], len(loops))
     windows = stretches(samples, settings.period)
@@ -65,6 +64,16 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
         _draw_loop(axes, loop, [w.alone(k) for w in windows], [p.alone(k) for p in parts], closed=closed)
         time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
     return figure
+
+
+def _compared(
+    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings
+) -> Sequence[Comparison]:
+    """The leader's twins beside the plant, in each stretch; none where there is no leader."""
+    shown = shown_twin(verdicts[-1] if verdicts else None)
+    if shown is None:
+        return ()
+    return compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings)
 
 
 def _draw_loop(
@@ -87,9 +96,9 @@ def _draw_loop(
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
     if parts and closed:
         _limit(axes[3], [p.closed_residual_u for p in parts])
-    for each in axes:
-        if each.get_legend_handles_labels()[0]:
-            legend_above(each, 5, 0.98, borderaxespad=0.2)
+    for signal_axes in axes:
+        if signal_axes.get_legend_handles_labels()[0]:
+            legend_above(signal_axes, 5, 0.98, borderaxespad=0.2)
 
 
 def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
@@ -118,8 +127,8 @@ def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> N
     if part.closed is None:
         _draw_banded(axes[0], part.received, part.driven_residual_y, DRIVEN, driven if first else "")
         return
-    for each, residual in zip(axes, (part.closed_residual_y, part.closed_residual_u), strict=True):
-        _draw_banded(each, part.received, residual, CLOSED, "closed-loop twin" if first else "")
+    for signal_axes, residual in zip(axes, (part.closed_residual_y, part.closed_residual_u), strict=True):
+        _draw_banded(signal_axes, part.received, residual, CLOSED, "closed-loop twin" if first else "")
     axes[0].plot(part.received, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label=driven)
 
 
@@ -145,15 +154,15 @@ def draw_health(
     settings: TwinSettings,
 ) -> Figure:
     """Trust level, misses of every verdict with their limit, matches admitted and refused."""
-    known = _misses(verdicts, settings.plant, closed=settings.law is not None)
-    figure = new_figure(10, 2.1 + 1.35 * len(known))
-    axes = stack(figure, (1.2, *[2] * len(known), 0.9))
+    misses_of = _misses(verdicts, settings.plant, closed=settings.law is not None)
+    figure = new_figure(10, 2.1 + 1.35 * len(misses_of))
+    axes = stack(figure, (1.2, *[2] * len(misses_of), 0.9))
     first = samples[0].index
     period = settings.period
     _draw_levels(axes[0], verdicts, period, first)
-    for each, (name, misses) in zip(axes[1:-1], known.items(), strict=True):
-        _draw_misses(each, misses, period, settings.limits.doubtful)
-        each.set_ylabel(f"{name}\nmiss / half band")
+    for signal_axes, (name, misses) in zip(axes[1:-1], misses_of.items(), strict=True):
+        _draw_misses(signal_axes, misses, period, settings.limits.doubtful)
+        signal_axes.set_ylabel(f"{name}\nmiss / half band")
     _draw_matches(axes[-1], matches, admitted(verdicts), period, outputs_unit(settings.plant))
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
@@ -181,21 +190,23 @@ def _misses(verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool) ->
             y.name: {v.sample: v.miss_y for v in verdicts},
             u.name: {v.sample: v.miss_u for v in verdicts},
         }
-    known = [*plant.outputs, *(plant.drives if closed else ())]
-    scores = {(v.sample, score.signal): score.miss for v in verdicts for score in v.signals}
-    return {
-        plant.called(name): {sample: miss for (sample, of), miss in scores.items() if of == name}
-        for name in known
+    misses: dict[str, dict[int, float]] = {
+        name: {} for name in (*plant.outputs, *(plant.drives if closed else ()))
     }
+    for verdict in verdicts:
+        for score in verdict.signals:
+            if score.signal in misses:
+                misses[score.signal][verdict.sample] = score.miss
+    return {plant.called(name): miss_at for name, miss_at in misses.items()}
 
 
 def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: float) -> None:
-    known = {sample * period: miss for sample, miss in misses.items() if not math.isnan(miss)}
-    if not known:
+    miss_at = {sample * period: miss for sample, miss in misses.items() if not math.isnan(miss)}
+    if not miss_at:
         empty(axes, "no residual: there is no candidate")
         return
-    axes.plot(list(known), list(known.values()), color=PLANT, marker=".", ms=4, lw=1)
-    top = 1.15 * max(known.values()) or 1.0  # a command at its limit is missed by nothing
+    axes.plot(list(miss_at), list(miss_at.values()), color=PLANT, marker=".", ms=4, lw=1)
+    top = 1.15 * max(miss_at.values()) or 1.0  # a command at its limit is missed by nothing
     if limit <= _DRAWN * top:
         axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
         place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
@@ -214,9 +225,9 @@ def _draw_matches(
         times = [m.sample * period for m in matches if (m.sample in joined) is inside]
         axes.plot(times, [float(inside)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
     for m in matches:
-        at = (m.sample * period, float(m.sample in joined))
+        point = (m.sample * period, float(m.sample in joined))
         place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
-        axes.annotate(point_text(m.operating_point), at, (0, 5), **place)
+        axes.annotate(point_text(m.operating_point), point, (0, 5), **place)
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
@@ -227,23 +238,32 @@ def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: i
     """What each sensor read that was not believed, and what it should have, below one another."""
     figure = new_figure(10, 2.4 * len(courses))
     all_axes = figure.subplots(len(courses), squeeze=False)[:, 0]
-    for axes, one in zip(all_axes, courses, strict=True):
-        draw_estimate(axes, one, period, samples)
+    for axes, course in zip(all_axes, courses, strict=True):
+        draw_estimate(axes, course, period, samples)
     all_axes[-1].set_xlabel("time since the session began / s")
     return figure
 
 
-def draw_estimate(axes: Axes, one: EstimatedCourse, period: float, samples: int) -> None:
+def draw_estimate(axes: Axes, course: EstimatedCourse, period: float, samples: int) -> None:
     """What a sensor read, and what it should have."""
-    time = np.arange(one.first, one.last + 1) * period
-    values = np.array(one.values)
-    bands = np.array(one.bands)
-    axes.plot(time, one.readings, color=SET_POINT, label="read")
+    time = np.arange(course.first, course.last + 1) * period
+    values = np.array(course.values)
+    bands = np.array(course.bands)
+    axes.plot(time, course.readings, color=SET_POINT, label="read")
     axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
     axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
     axes.set_xlim(0.0, samples * period)
-    axes.set_ylabel(f"{one.text} / {one.unit}")
+    axes.set_ylabel(f"{course.text} / {course.unit}")
     legend_above(axes, 2)
+
+
+def _draw_leader(upper: Axes, control: Axes, parts: Sequence[Comparison], label: str) -> None:
+    """The leader's output and, in closed loop, its input."""
+    for number, part in enumerate(parts):
+        output = part.driven if part.closed is None else part.closed.output
+        upper.plot(part.time, output, color=CLOSED, lw=1, label=label if number == 0 else "_")
+        if part.closed is not None:
+            control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
 
 
 @styled
@@ -258,27 +278,23 @@ def draw_verdict(
     figure = new_figure(12, 9)
     grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
     loops = channels(settings.plant)
-    uppers, controls = ([figure.add_subplot(c) for c in cells_for(len(loops), grid[k, :])] for k in (0, 1))
+    uppers = [figure.add_subplot(cell) for cell in cells_for(len(loops), grid[0, :])]
+    controls = [figure.add_subplot(cell) for cell in cells_for(len(loops), grid[1, :])]
     trust = figure.add_subplot(grid[2, :])
-    for each in (*uppers, *controls):
-        each.sharex(trust)
+    for signal_axes in (*uppers, *controls):
+        signal_axes.sharex(trust)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = (
-        compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
-    )
+    parts = _compared(samples, verdicts, settings)
+    windows = stretches(samples, settings.period)
+    closed = settings.law is not None
     for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
-        for number, window in enumerate(stretches(samples, settings.period)):
-            closed = settings.law is not None
+        for number, window in enumerate(windows):
             alone = window.alone(k)
             draw_outputs(upper, alone, closed=closed, named=number == 0, lw=1.2)
             draw_inputs(control, alone, 0.9)
-        for number, part in enumerate(p.alone(k) for p in parts):
-            label = f"twin of {shown.name}" if shown and number == 0 else "_"
-            output = part.driven if part.closed is None else part.closed.output
-            upper.plot(part.time, output, color=CLOSED, lw=1, label=label)
-            if part.closed is not None:
-                control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
+        if shown is not None:
+            _draw_leader(upper, control, [part.alone(k) for part in parts], f"twin of {shown.name}")
         for axes, signal in zip((upper, control), signal_names(loop), strict=True):
             axes.set_ylabel(signal.label)
             axes.tick_params(labelbottom=False)

@@ -72,18 +72,18 @@ def layout(described: Description, topics: Collection[str] = (), rig: str = "") 
         **_nodes(),
         "Tab!more": _tabs(len(loops)),
     }
-    rest = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
-    return {"configById": panels, **rest, "layout": _places(len(loops), image=IMAGE in topics)}
+    empty_settings = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
+    return {"configById": panels, **empty_settings, "layout": _places(len(loops), image=IMAGE in topics)}
 
 
-def write_layout(path: Path, made: Mapping[str, Any]) -> None:
+def write_layout(path: Path, document: Mapping[str, Any]) -> None:
     """Write a layout to a file.
 
     Raises:
         ServingError: the file cannot be written.
     """
     try:
-        path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise ServingError(f"foxglove: the layout cannot be written to {path}: {error.strerror}") from error
 
@@ -130,8 +130,8 @@ def _charts(loops: Sequence[Loop], k: int, rig: str, topics: Collection[str]) ->
 def _title(quantity: Quantity) -> str:
     """Its name, and its description if it differs from the name."""
     named = quantity.name.replace("_", " ")
-    more = quantity.text and quantity.text.lower() != named.lower()
-    return f"{named}: {quantity.text}" if more else named
+    adds_description = quantity.text and quantity.text.lower() != named.lower()
+    return f"{named}: {quantity.text}" if adds_description else named
 
 
 def _line(value: str, label: str, color: str, size: float = 1.5) -> dict[str, Any]:
@@ -157,12 +157,12 @@ def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: A
     return _titled(title, paths=list(lines), **{**usual, **settings})
 
 
-def _forecast(topic: str, of: Quantity, lines: Sequence[dict[str, Any]]) -> _Panel:
+def _forecast(topic: str, quantity: Quantity, lines: Sequence[dict[str, Any]]) -> _Panel:
     """The newest forecast, over the seconds ahead rather than the time of its message."""
     axis: dict[str, Any] = {"xAxisVal": "currentCustom", "xAxisLabel": "time ahead / s"}
     axis |= {"xAxisPath": {"value": f"{topic}.time[:]", **_STAMP}}
     still = {"showPlotValuesInLegend": False, "isSynced": False}
-    return _plot(f"{of.name} forecast", of.label, lines, **axis, **still)
+    return _plot(f"{quantity.name} forecast", quantity.label, lines, **axis, **still)
 
 
 def _image(rig: str) -> _Panel:
@@ -241,14 +241,18 @@ def _places(loops: int, *, image: bool) -> dict[str, Any]:
 def _column(k: int) -> Any:
     """The charts of one loop below one another."""
     signals = _split("column", nth("Plot!output", k), nth("Plot!input", k), 60)
-    off = _split("column", nth("Plot!residuals", k), nth("Plot!input_residuals", k), 50)
-    return _split("column", signals, off, 60)
+    residuals = _split("column", nth("Plot!residuals", k), nth("Plot!input_residuals", k), 50)
+    return _split("column", signals, residuals, 60)
 
 
 def _even(direction: str, places: Sequence[Any]) -> Any:
     """Places of the same size."""
-    first, *others = places
-    return _split(direction, first, _even(direction, others), round(100 / len(places))) if others else first
+    first, *further_places = places
+    return (
+        _split(direction, first, _even(direction, further_places), round(100 / len(places)))
+        if further_places
+        else first
+    )
 
 
 def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from foxglove import Channel, Context, Schema, set_log_level, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
@@ -32,8 +33,21 @@ BACKLOG = 1024
 """Queue length per viewer; the oldest messages are dropped for a slow viewer. A thermal image has 77 kB."""
 LARGEST_KEPT = 4_000_000
 """Largest message that is kept for late subscribers, bytes."""
-GRACE = 5.0
-"""Seconds without /clock after which a sample counts as one of a graph without it."""
+
+
+@dataclass(frozen=True)
+class _Times:
+    """Times of the server, s."""
+
+    grace: float = 5.0
+    """Time without /clock after which a sample counts as one of a graph without it."""
+    poll: float = 0.2
+    """Time between checks for new topics."""
+    tick: float = 0.05
+    """Time between updates of the viewers' time."""
+
+
+_TIMES: Final = _Times()
 
 
 class _Last(NamedTuple):
@@ -85,15 +99,15 @@ class GraphServer(ServerListener):
         """Advertise a topic: full name, `package/msg/Type`, and its definition with those of nested types."""
         if topic in self._channels:
             self._channels.pop(topic).close()
-        made = Schema(name=kind, encoding="ros2msg", data=schema.encode())
-        self._channels[topic] = Channel(topic, schema=made, message_encoding="cdr", context=self._context)
+        declared = Schema(name=kind, encoding="ros2msg", data=schema.encode())
+        self._channels[topic] = Channel(topic, schema=declared, message_encoding="cdr", context=self._context)
 
-    def send(self, topic: str, data: bytes, at: int) -> None:
-        """Forward a message, CDR with its encapsulation header; `at` is the time of reception, ns."""
+    def send(self, topic: str, data: bytes, received: int) -> None:
+        """Forward a message, CDR with its encapsulation header; `received` is the time of reception, ns."""
         channel = self._channels[topic]
         if len(data) <= LARGEST_KEPT:
-            self._last[channel.id()] = _Last(channel, data, at)
-        channel.log(data, log_time=at)
+            self._last[channel.id()] = _Last(channel, data, received)
+        channel.log(data, log_time=received)
 
     def send_time(self, now: int) -> None:
         """Send the current time (ns) to the viewers."""
@@ -151,26 +165,22 @@ class StreamTime:
         """Time, ns since the epoch of its clock."""
         return time.time_ns() if self._plant is None else self._plant
 
-    def on_clock(self, stamp: int, at: float) -> bool:
+    def on_clock(self, stamp: int, received: float) -> bool:
         """Take the time of /clock (ns), received at a monotonic time (s); returns whether the kind of time
         has changed."""
         changed = self._plant is None
         self._plant = stamp
-        self._received = at
+        self._received = received
         return changed
 
-    def on_sample(self, at: float, *, clock: bool) -> bool:
+    def on_sample(self, received: float, *, clock: bool) -> bool:
         """Note a sample, and whether /clock has a publisher; returns whether the kind of time has changed."""
-        if self._plant is None or clock or at - self._received < GRACE:
+        if self._plant is None or clock or received - self._received < _TIMES.grace:
             return False
         self._plant = None
         return True
 
 
-POLL = 0.2
-"""Seconds between checks for new topics."""
-TICK = 0.05
-"""Seconds between updates of the viewers' time."""
 LEFT_OUT = ("parameter_events",)
 
 
@@ -209,8 +219,8 @@ class Foxglove(TwinmatchNode):
         if self.values["layout"]:
             self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
         self.create_subscription(ClockMessage, "/clock", self._on_clock, NEWEST)
-        self.create_timer(POLL, self._find_topics, clock=steady)
-        self.create_timer(TICK, self._send_time, clock=steady)
+        self.create_timer(_TIMES.poll, self._find_topics, clock=steady)
+        self.create_timer(_TIMES.tick, self._send_time, clock=steady)
         warn_if_open("FOXGLOVE", address, "read this graph")
         print(f"foxglove: {self._server.url}", flush=True)
         self.report_on()

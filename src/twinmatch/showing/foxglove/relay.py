@@ -7,18 +7,30 @@ import secrets
 import socket
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Final
 
 from twinmatch.showing.serving import Hosts
 
 REQUEST: Final = 1 << 14
 """Most bytes of a request."""
-PATIENCE: Final = 10.0
-"""Time for a request to arrive, s."""
-LEAVE: Final = 0.5
-"""Time for connections to end at the end, s."""
-MAX_STREAMS: Final = 200
-"""Most connections at once."""
+
+
+@dataclass(frozen=True)
+class _Connections:
+    """Limits of the connections to a server."""
+
+    patience: float = 10.0
+    """Time for a request to arrive, s."""
+    leave: float = 0.5
+    """Time for them to end when the server ends, s."""
+    most: int = 200
+    """Most of them at once."""
+
+
+_CONNECTIONS: Final = _Connections()
+
+
 MAX_TOLD: Final = 8
 """Most reasons of refusals that are printed."""
 
@@ -62,13 +74,13 @@ class Relay:
         await self._over.wait()
         server.close()
         if self._open:
-            _, late = await asyncio.wait(self._open, timeout=LEAVE)
+            _, late = await asyncio.wait(self._open, timeout=_CONNECTIONS.leave)
             for task in late:
                 task.cancel()
             await asyncio.gather(*late, return_exceptions=True)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._open) >= MAX_STREAMS:
+        if len(self._open) >= _CONNECTIONS.most:
             writer.close()
             return
         task = self._loop.create_task(self._take(reader, writer))
@@ -77,7 +89,7 @@ class Relay:
 
     async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+            request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _CONNECTIONS.patience)
             why = self._refusal(request)
             if why:
                 await _refuse(writer, why)
@@ -91,15 +103,15 @@ class Relay:
     async def _pass_on(
         self, request: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        back, there = await asyncio.open_connection(*self._inner)
-        ways = [self._loop.create_task(_copy(*way)) for way in ((reader, there), (back, writer))]
+        from_server, to_server = await asyncio.open_connection(*self._inner)
+        ways = [self._loop.create_task(_copy(*way)) for way in ((reader, to_server), (from_server, writer))]
         try:
-            there.write(request)
+            to_server.write(request)
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for way in ways:
                 way.cancel()
-            there.close()
+            to_server.close()
 
     def _refusal(self, request: bytes) -> str:
         """Why a request is refused; empty if it is not."""

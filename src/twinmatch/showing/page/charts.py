@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend, LegendItem
 from bokeh.plotting import figure
@@ -23,10 +24,21 @@ POINTS = 2400
 """Most points of a line, whatever time it spans."""
 BAND = 2.0
 """Half width of the residual band, in RMS of the newest samples."""
-MAX_STRETCH = 300.0
-"""Most time drawn ahead of the newest sample, s."""
-SHARE = 4.0
-"""The time drawn ahead is at most the span of the charts divided by this."""
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """How much of a forecast is drawn."""
+
+    most: float = 300.0
+    """Most time drawn ahead of the newest sample, s."""
+    share: float = 4.0
+    """The time drawn ahead is at most the span of the charts divided by this."""
+
+
+_AHEAD: Final = _Ahead()
+
+
 TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
 TRUST = "trust"
 LANES = {
@@ -87,7 +99,7 @@ class ChartFeed:
 
 def seconds_ahead(span: float) -> float:
     """How much time ahead to draw on charts that show `span` seconds of the past, s."""
-    return min(MAX_STRETCH, span / SHARE)
+    return min(_AHEAD.most, span / _AHEAD.share)
 
 
 class ForecastBands:
@@ -95,9 +107,8 @@ class ForecastBands:
 
     def __init__(self, output: Any, control: Any) -> None:
         """Draw on these two charts."""
-        self._forecast, self._what_if = (
-            ColumnDataSource({name: [] for name in FORECAST_COLUMNS}) for _ in range(2)
-        )
+        self._forecast = ColumnDataSource({name: [] for name in FORECAST_COLUMNS})
+        self._what_if = ColumnDataSource({name: [] for name in FORECAST_COLUMNS})
         self.lines = []
         """The mean line of each forecast; the time axis covers them."""
         for source, colour, name in ((self._forecast, CLOSED, "forecast"), (self._what_if, MODEL, "what if")):
@@ -114,10 +125,12 @@ class ForecastBands:
         self._what_if.data = _columns(what_if, period, most)
 
 
-def _draw_band(chart: Any, of: str, source: ColumnDataSource, colour: str) -> list[Any]:
+def _draw_band(chart: Any, signal: str, source: ColumnDataSource, colour: str) -> list[Any]:
     """Band and mean of one signal."""
-    band = chart.varea("t", f"{of}_low", f"{of}_high", source=source, fill_color=colour, fill_alpha=0.18)
-    mean = chart.line("t", of, source=source, color=colour, line_width=1.6)
+    band = chart.varea(
+        "t", f"{signal}_low", f"{signal}_high", source=source, fill_color=colour, fill_alpha=0.18
+    )
+    mean = chart.line("t", signal, source=source, color=colour, line_width=1.6)
     mean.glyph.line_dash = [5, 2]
     return [band, mean]
 
@@ -160,9 +173,11 @@ class LoopCharts:
         self._plant, self._twin = sources
         _, self._output_of, self._input_of = loop
         self._k = k
-        self.output, self.control = self._output(), self._control()
+        self.output = self._output()
+        self.control = self._control()
         self.forecasts = ForecastBands(self.output, self.control)
-        self.residual, self.control_residual = self._residual(), self._control_residual()
+        self.residual = self._residual()
+        self.control_residual = self._control_residual()
         self.figures = [self.output, self.control, self.residual, self.control_residual]
 
     def _of(self, column: str) -> str:
@@ -173,21 +188,21 @@ class LoopCharts:
 
     def _output(self) -> Any:
         chart = self._figure("output", 320, self._output_of.label)
-        of = self._of
-        self.line = chart.line("t", of("output"), source=self._plant, color=PLANT, line_width=2)
-        closed = chart.line("t", of("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
-        asked = _step(chart, of("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
+        column = self._of
+        self.line = chart.line("t", column("output"), source=self._plant, color=PLANT, line_width=2)
+        closed = chart.line("t", column("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
+        asked = _step(chart, column("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
         _legend(chart, {"plant": self.line, "closed-loop twin": closed, "set-point": asked})
-        _hover_value(chart, self.line, "plant", of("output"), self._output_of)
+        _hover_value(chart, self.line, "plant", column("output"), self._output_of)
         return chart
 
     def _control(self) -> Any:
         chart = self._figure("control", 210, self._input_of.label)
-        of = self._of
-        plant = _step(chart, of("input"), self._plant, PLANT, width=1.6)
-        closed = _step(chart, of("closed_input"), self._twin, CLOSED, width=1.2)
+        column = self._of
+        plant = _step(chart, column("input"), self._plant, PLANT, width=1.6)
+        closed = _step(chart, column("closed_input"), self._twin, CLOSED, width=1.2)
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover_value(chart, plant, "plant", of("input"), self._input_of)
+        _hover_value(chart, plant, "plant", column("input"), self._input_of)
         return chart
 
     def _residual(self) -> Any:
@@ -225,7 +240,9 @@ class TimeCharts:
         self._loops = [
             LoopCharts(self.time, (plant, twin), loop, k) for k, loop in enumerate(described.loops)
         ]
-        self.time.renderers = [line for each in self._loops for line in (each.line, *each.forecasts.lines)]
+        self.time.renderers = [
+            line for loop_charts in self._loops for line in (loop_charts.line, *loop_charts.forecasts.lines)
+        ]
         self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
         names = ("t", "lane", "colour", "shape", "title", "text")
         self._events = ColumnDataSource({name: [] for name in names})
@@ -234,14 +251,13 @@ class TimeCharts:
     @property
     def rows(self) -> list[list[str]]:
         """Names of the figures of the loops: a row of each kind, top to bottom."""
-        return [
-            [chart.name for chart in of] for of in zip(*(each.figures for each in self._loops), strict=True)
-        ]
+        kinds = zip(*(loop_charts.figures for loop_charts in self._loops), strict=True)
+        return [[chart.name for chart in charts] for charts in kinds]
 
     @property
     def figures(self) -> list[Any]:
         """All of them, top to bottom."""
-        return [*(chart for each in self._loops for chart in each.figures), self.happened]
+        return [*(chart for loop_charts in self._loops for chart in loop_charts.figures), self.happened]
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
         """Show the charts that have data; Bokeh computes no range for an empty chart."""
@@ -254,9 +270,10 @@ class TimeCharts:
         self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float
     ) -> None:
         """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
-        for k, each in enumerate(self._loops):
-            own, other = (one and one.alone(k) for one in (forecast, what_if))
-            each.forecasts.update(own, other, period, most)
+        for k, loop_charts in enumerate(self._loops):
+            forecast_of_loop = forecast and forecast.alone(k)
+            what_if_of_loop = what_if and what_if.alone(k)
+            loop_charts.forecasts.update(forecast_of_loop, what_if_of_loop, period, most)
 
     @property
     def fit_to_narrow(self) -> CustomJS:

@@ -6,13 +6,25 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Final
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of REP 107, as on /diagnostics."""
-PATIENCE = 4.0
-"""Seconds without a report after which a node counts as silent; they report every second."""
-FORGET = 60.0
-"""Seconds after which a silent node is forgotten."""
+
+
+@dataclass(frozen=True)
+class _Silence:
+    """Times of silence of a node, which reports every second, s."""
+
+    patience: float = 4.0
+    """From then on it counts as silent."""
+    forget: float = 60.0
+    """From then on it is forgotten."""
+
+
+_SILENT: Final = _Silence()
+
+
 MAX_NODES = 64
 """Most names kept; one graph does not have more nodes."""
 
@@ -83,13 +95,13 @@ class NodeReports:
         return "error"
 
     def expire(self, now: float) -> None:
-        """Forget nodes that have been silent for `FORGET` seconds, unless a replay has ended.
+        """Forget nodes that have long been silent, unless a replay has ended.
 
         A player that falls silent counts as gone.
         """
         if self.ended is not None:
             return
-        for name in [n for n, s in self.reports.items() if now - s.at > FORGET]:
+        for name in [n for n, s in self.reports.items() if now - s.at > _SILENT.forget]:
             del self.reports[name]
             self._errors.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
@@ -101,7 +113,7 @@ class NodeReports:
     def begin(self, now: float) -> None:
         """Note a sample: it ends the state "replay ended", unless it was still in transit when that came: a
         page that is behind takes the last samples without a pause, however long it needs for them."""
-        if now - self.ended_at > PATIENCE:
+        if now - self.ended_at > _SILENT.patience:
             self.ended = None
         self.ended_at = now
 
@@ -111,8 +123,8 @@ class NodeReports:
 
     def message(self, name: str) -> str:
         """The last message of a node; once a replay has ended, without the missing samples."""
-        said = self.reports[name].message
-        return _SILENCE.sub("", said) if self.at_rest(name) else said
+        message = self.reports[name].message
+        return _SILENCE.sub("", message) if self.at_rest(name) else message
 
     def level(self, name: str, now: float) -> int:
         """A node's level of REP 107; a silent node is stale, unless a replay has ended."""
@@ -130,6 +142,6 @@ class NodeReports:
             self.ended_at = now
 
     def silent(self, name: str, now: float) -> bool:
-        """Whether a node has not reported for more than `PATIENCE` seconds."""
+        """Whether a node has not reported for some seconds."""
         report = self.reports.get(name)
-        return report is None or now - report.at > PATIENCE
+        return report is None or now - report.at > _SILENT.patience

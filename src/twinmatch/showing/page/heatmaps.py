@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from textwrap import wrap
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from bokeh.core.properties import value
@@ -18,11 +19,23 @@ from twinmatch.showing.quantities import number, span_text
 from twinmatch.showing.style import TEXT
 
 SUM = "Σ"
-_LINE = 20
-"""Characters per line of a name beside its row; there are two lines."""
-_ROW = 34
-_HEAD = 44
-"""Height of a row, and of the space above the first one, in pixels."""
+
+
+@dataclass(frozen=True)
+class _MatrixSize:
+    """Sizes of the matrix."""
+
+    line: int = 20
+    """Characters per line of a name beside its row; there are two lines."""
+    row: int = 34
+    """Height of a row, pixels."""
+    head: int = 44
+    """Height of the space above the first row, pixels."""
+
+
+_SIZE: Final = _MatrixSize()
+
+
 _EVEN = 0.179
 """Luminance at which black and white text have the same contrast, 4.6."""
 _PALETTE = list(reversed(Cividis256))
@@ -41,7 +54,8 @@ class GapMatrix:
 
     def update(self, verdict: Verdict | None) -> None:
         """Draw the matrix of a verdict; None, or a verdict without candidates, leaves it empty."""
-        candidates, nominal = (verdict.candidates, verdict.nominal) if verdict else ((), None)
+        candidates = verdict.candidates if verdict else ()
+        nominal = verdict.nominal if verdict else None
         # Long names do not fit above the columns: columns have numbers, rows have names and numbers.
         columns = [str(k) for k in range(1, len(candidates) + 1)]
         names = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
@@ -51,16 +65,17 @@ class GapMatrix:
         most = max(float(gaps.max()), 1e-12) if gaps.size else 1.0
         self.figure.x_range.factors = columns
         self.figure.y_range.factors = [SUM, *reversed(names)]
-        self.figure.height = _HEAD + _ROW * (len(names) + 1)
+        self.figure.height = _SIZE.head + _SIZE.row * (len(names) + 1)
         self._colours.high = most
         places = list(np.ndindex(*gaps.shape))
+        values = [float(gaps[place]) for place in places]
         self._cells.data = {
             "column": [columns[j] for _, j in places],
             "row": [names[i] for i, _ in places],
-            "gap": [float(gaps[i, j]) for i, j in places],
-            "shown": [number(float(gaps[i, j]), 2) for i, j in places],
+            "gap": values,
+            "shown": [number(value, 2) for value in values],
             "interval": [_interval(candidates[i], j) for i, j in places],
-            "ink": [_ink(float(gaps[i, j]) / most) for i, j in places],
+            "ink": [_ink(value / most) for value in values],
             "pair": [f"{candidates[i].name} and {candidates[j].name}" for i, j in places],
         }
         self._sums.data = {
@@ -76,7 +91,7 @@ class GapMatrix:
 
     def _draw(self) -> Any:
         ranges = {"x_range": FactorRange(), "y_range": FactorRange(), "x_axis_location": "above"}
-        chart = _map("matrix", _HEAD + _ROW, min_border_left=56, **ranges)
+        chart = _map("matrix", _SIZE.head + _SIZE.row, min_border_left=56, **ranges)
         chart.axis.axis_line_color = None
         chart.axis.major_tick_line_color = None
         filling = {"fill_color": {"field": "gap", "transform": self._colours}, "line_color": None}
@@ -101,10 +116,10 @@ def _map(name: str, height: int, **options: Any) -> Any:
 
 def _short(name: str) -> str:
     """A name on at most two lines; the tooltip shows it in full."""
-    lines = wrap(name, _LINE)
+    lines = wrap(name, _SIZE.line)
     if len(lines) <= 2:
         return "\n".join(lines)
-    return f"{lines[0]}\n{lines[1][: _LINE - 1].rstrip(' ,')}…"
+    return f"{lines[0]}\n{lines[1][: _SIZE.line - 1].rstrip(' ,')}…"
 
 
 def _ink(share: float) -> str:
@@ -115,11 +130,11 @@ def _ink(share: float) -> str:
     return "#FFFFFF" if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EVEN else "#000000"
 
 
-def _interval(candidate: CandidateScore, other: int) -> str:
+def _interval(candidate: CandidateScore, place: int) -> str:
     """The 90 % interval of its ν-gap to another candidate of the family."""
-    if not (other < len(candidate.nu_gap_low) and other < len(candidate.nu_gap_high)):
+    if not (place < len(candidate.nu_gap_low) and place < len(candidate.nu_gap_high)):
         return "not computed"
-    return span_text(candidate.nu_gap_low[other], candidate.nu_gap_high[other])
+    return span_text(candidate.nu_gap_low[place], candidate.nu_gap_high[place])
 
 
 MIN_SPAN = 4.0
@@ -146,7 +161,8 @@ class ThermalImage:
         low = float(np.nanmin(image))
         high = float(np.nanmax(image))
         wider = max(0.0, MIN_SPAN - (high - low)) / 2
-        self._colours.low, self._colours.high = round(low - wider, 1), round(high + wider, 1)
+        self._colours.low = round(low - wider, 1)
+        self._colours.high = round(high + wider, 1)
         self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
 
     def _draw(self) -> Any:

@@ -49,7 +49,9 @@ def exposition(state: DashboardState, now: float) -> bytes:
 def _of_state(state: DashboardState, now: float) -> Iterator[_Gauge]:
     index = math.nan if state.sample is None else float(state.sample)
     age = math.nan if state.received_at is None else now - state.received_at
-    levels = [(float(each is level(state)), (each.value,)) for each in TrustLevel]
+    levels = [
+        (float(possible_level is level(state)), (possible_level.value,)) for possible_level in TrustLevel
+    ]
     standing = [(1.0, fault) for fault in faults(state)] or [(0.0, ("", ""))]
     yield "sample_index", "Index of the newest sample.", "", [(index, ())]
     yield "verdicts", "Verdicts of this session.", "", [(float(state.tally.verdicts), ())]
@@ -70,7 +72,7 @@ def _of_verdict(state: DashboardState, verdict: Verdict) -> Iterator[_Gauge]:
     shares = [(share, (f"{horizon:g}",)) for horizon, share in coverage(state).items()]
     names = state.described.outputs[0].name, state.described.inputs[0].name
     single = zip((verdict.miss_y, verdict.miss_u), names, strict=True)
-    misses = [(each.miss, each.signal) for each in verdict.signals] or single
+    misses = [(score.miss, score.signal) for score in verdict.signals] or single
     text = "Share of the readings that the leader's bands have held; 0.9 is expected."
     yield "forecast_coverage_ratio", text, "horizon", shares
     text = "RMS of reading minus the leader's forecast over the newest samples, in half widths of its band."

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from paho.mqtt.client import Client
 
@@ -14,7 +14,7 @@ from twinmatch import __version__
 from twinmatch.comparing import TrustLevel
 from twinmatch.links.mqtt_client import Broker, BrokerError, leave
 from twinmatch.record import finite
-from twinmatch.showing.page.outline import ahead, coverage, faults, level, trusted_ahead
+from twinmatch.showing.page.outline import PointAhead, ahead, coverage, faults, level, trusted_ahead
 from twinmatch.showing.page.state import DashboardState
 
 _GOODBYE: Final = 1.0
@@ -22,6 +22,8 @@ _GOODBYE: Final = 1.0
 _NOT_PLAIN: Final = re.compile(r"[^A-Za-z0-9_-]+")
 """What the names of topics and of Home Assistant's entities may not have."""
 _MEASURED: Final = {"state_class": "measurement"}
+_TEMPERATURES: Final = {"°C", "°F", "K"}
+"""Units that Home Assistant knows as those of temperatures."""
 
 
 class MqttOutlet:
@@ -57,11 +59,11 @@ class MqttOutlet:
                 self._enter(name)
             except BrokerError as error:
                 return str(error)
-        for topic, said in messages.items():
-            if self._said.get(topic) != said:
-                self._said[topic] = said
+        for topic, payload in messages.items():
+            if self._said.get(topic) != payload:
+                self._said[topic] = payload
                 if self._client.is_connected():
-                    self._client.publish(topic, said, retain=True)
+                    self._client.publish(topic, payload, retain=True)
         lost = f"the connection to the broker at {self._broker.text} is lost"
         return "" if self._client.is_connected() else lost
 
@@ -81,8 +83,8 @@ class MqttOutlet:
         return leave(self._client)
 
     def _repeat(self, client: Client) -> None:
-        for topic, said in dict(self._said).items():
-            client.publish(topic, said, retain=True)
+        for topic, payload in dict(self._said).items():
+            client.publish(topic, payload, retain=True)
 
 
 def _status(name: str) -> str:
@@ -100,15 +102,17 @@ def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
         "origin": {"name": "twinmatch", "sw_version": __version__},
     }
     documents: dict[str, Any] = {}
-    for kind, key, own, value, shown in _entities(state):
-        entity = {**common, "unique_id": f"{device}_{key}", "value_template": f"{{{{ {value} }}}}", **own}
-        if shown:
-            pairs = ", ".join(f"'{of}': {place}" for of, place in shown.items())
-            entity["json_attributes_template"] = f"{{{{ {{{pairs}}} | tojson }}}}"
-            entity["json_attributes_topic"] = topic
-        documents[f"homeassistant/{kind}/{device}_{key}/config"] = entity
+    for entity in _entities(state):
+        name_of_entity = f"{device}_{entity.key}"
+        value = f"{{{{ {entity.value} }}}}"
+        config = {**common, "unique_id": name_of_entity, "value_template": value, **entity.fields}
+        if entity.attributes:
+            pairs = ", ".join(f"'{name}': {expression}" for name, expression in entity.attributes.items())
+            config["json_attributes_template"] = f"{{{{ {{{pairs}}} | tojson }}}}"
+            config["json_attributes_topic"] = topic
+        documents[f"homeassistant/{entity.kind}/{name_of_entity}/config"] = config
     documents[topic] = finite(_document(state))
-    return {topic: json.dumps(said, ensure_ascii=False) for topic, said in documents.items()}
+    return {topic: json.dumps(document, ensure_ascii=False) for topic, document in documents.items()}
 
 
 def _document(state: DashboardState) -> dict[str, Any]:
@@ -116,7 +120,7 @@ def _document(state: DashboardState) -> dict[str, Any]:
     outputs = [point for point in ahead(state) if point.signal in state.described.outputs]
     trusted = trusted_ahead(state)
     shown = trusted or max((point.horizon for point in outputs), default=0.0)
-    of = [(point.signal, point) for point in outputs if point.horizon == shown]
+    points_shown = [point for point in outputs if point.horizon == shown]
     share = coverage(state).get(shown)
     return {
         "level": level(state).value,
@@ -124,30 +128,53 @@ def _document(state: DashboardState) -> dict[str, Any]:
         "leader": state.leader or None,
         "horizon": trusted,
         "ahead": shown or None,
-        "forecast": {signal.name: round(point.mean, signal.decimals) for signal, point in of},
-        "low": {signal.name: round(point.low, signal.decimals) for signal, point in of},
-        "high": {signal.name: round(point.high, signal.decimals) for signal, point in of},
+        "forecast": _rounded("mean", points_shown),
+        "low": _rounded("low", points_shown),
+        "high": _rounded("high", points_shown),
         "coverage": None if share is None else round(100.0 * share, 1),
         "fault": "; ".join(" of ".join(filter(None, fault)) for fault in faults(state)) or None,
         "sample": state.sample,
     }
 
 
-def _entities(state: DashboardState) -> Iterator[tuple[str, str, dict[str, Any], str, dict[str, str]]]:
-    """Kind, key, own fields, value and attributes of each entity; what is not known is rendered as `None`."""
-    said = {key: f"value_json.{key}" for key in _document(state)}
-    levels = {"name": "Trust", "device_class": "enum", "options": [each.value for each in TrustLevel]}
-    yield "sensor", "trust", levels, said["level"], {key: said[key] for key in ("sentence", "leader")}
+def _rounded(edge: str, points: Sequence[PointAhead]) -> dict[str, float]:
+    """An edge of the forecast, or its mean, by the name of the signal."""
+    return {point.signal.name: round(getattr(point, edge), point.signal.decimals) for point in points}
+
+
+class _Entity(NamedTuple):
+    """A sensor in Home Assistant."""
+
+    kind: str
+    key: str
+    fields: dict[str, Any]
+    """Those of this entity alone."""
+    value: str
+    """An expression of the templates."""
+    attributes: dict[str, str]
+    """Expressions of the templates, by name."""
+
+
+def _entities(state: DashboardState) -> Iterator[_Entity]:
+    """The entities of a rig; what is not known is rendered as `None`."""
+    template = {key: f"value_json.{key}" for key in _document(state)}
+    levels = {"name": "Trust", "device_class": "enum", "options": [level.value for level in TrustLevel]}
+    words = {"sentence": template["sentence"], "leader": template["leader"]}
+    yield _Entity("sensor", "trust", levels, template["level"], words)
     seconds = {"name": "Trusted ahead", "device_class": "duration", "unit_of_measurement": "s", **_MEASURED}
-    yield "sensor", "horizon", seconds, said["horizon"], {}
+    yield _Entity("sensor", "horizon", seconds, template["horizon"], {})
     percent = {"name": "Readings within the bands", "unit_of_measurement": "%", **_MEASURED}
-    yield "sensor", "coverage", percent, said["coverage"], {}
+    yield _Entity("sensor", "coverage", percent, template["coverage"], {})
     for output in state.described.outputs:
-        own = {"name": f"Forecast of {output.text or output.name}", **_MEASURED}
-        own |= {"unit_of_measurement": output.unit} if output.unit else {}
-        own |= {"device_class": "temperature"} if output.unit in {"°C", "°F", "K"} else {}
-        of = {key: f"{said[key]}.get('{output.name}')" for key in ("forecast", "low", "high")}
-        value = of.pop("forecast")
-        yield "sensor", f"forecast_{output.name}", own, value, {**of, "ahead": said["ahead"]}
+        fields = {"name": f"Forecast of {output.text or output.name}", **_MEASURED}
+        if output.unit:
+            fields["unit_of_measurement"] = output.unit
+        if output.unit in _TEMPERATURES:
+            fields["device_class"] = "temperature"
+        edges = {key: f"{template[key]}.get('{output.name}')" for key in ("low", "high")}
+        mean = f"{template['forecast']}.get('{output.name}')"
+        attributes = {**edges, "ahead": template["ahead"]}
+        yield _Entity("sensor", f"forecast_{output.name}", fields, mean, attributes)
     problem = {"name": "Fault", "device_class": "problem"}
-    yield "binary_sensor", "fault", problem, "'ON' if value_json.fault else 'OFF'", {"fault": said["fault"]}
+    is_faulty = "'ON' if value_json.fault else 'OFF'"
+    yield _Entity("binary_sensor", "fault", problem, is_faulty, {"fault": template["fault"]})

@@ -79,8 +79,8 @@ class Dashboard(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe to the graph and serve the page."""
-        known = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
-        self.state = DashboardState(described=known)
+        described = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
+        self.state = DashboardState(described=described)
         self._queued: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._requests = Requests(
             self,
@@ -156,13 +156,13 @@ class Dashboard(TwinmatchNode):
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 
     def _on_health(self, message: DiagnosticArray) -> None:
-        now = time.monotonic()
+        time_received = time.monotonic()
         for status in message.status:
             if status.name.endswith(PLANT_REPORT):  # the verdicts say it here
                 continue
             values = {entry.key: entry.value for entry in status.values}
             level = int.from_bytes(status.level, "little")
-            self.state.push_health(status.name, level, status.message, values, now)
+            self.state.push_health(status.name, level, status.message, values, time_received)
 
     def _on_image(self, message: Image) -> None:
         if message.encoding != "32FC1":

@@ -37,7 +37,7 @@ def ahead(state: DashboardState) -> list[PointAhead]:
     """The newest forecast at the verdicts' horizons, or else at its end: of outputs, then of inputs."""
     forecast = state.current_forecast
     described = state.described
-    found = []
+    points = []
     if forecast is None or not forecast.time.size:
         return []
     for horizon in (state.verdict and state.verdict.horizons) or (float(forecast.time[-1]),):
@@ -45,8 +45,8 @@ def ahead(state: DashboardState) -> list[PointAhead]:
         for kind, bands in ((described.outputs, forecast.outputs), (described.inputs, forecast.inputs)):
             for signal, band in zip(kind, bands, strict=False):
                 edges = (float(edge[k]) for edge in (band.mean, band.low, band.high))
-                found.append(PointAhead(signal, horizon, *edges))
-    return found
+                points.append(PointAhead(signal, horizon, *edges))
+    return points
 
 
 def coverage(state: DashboardState) -> dict[float, float]:
@@ -60,5 +60,5 @@ def faults(state: DashboardState) -> list[tuple[str, str]]:
     """The faults that are on, each with the name of the signal that it concerns, or an empty one: that of the
     newest verdict, and what holds or limits the output."""
     verdict = state.verdict
-    found = [(verdict.fault, verdict.fault_signal)] if verdict is not None and verdict.fault else []
-    return [*found, (drive_fault(state.fault)[0], "")] if state.fault else found
+    faults_on = [(verdict.fault, verdict.fault_signal)] if verdict is not None and verdict.fault else []
+    return [*faults_on, (drive_fault(state.fault)[0], "")] if state.fault else faults_on

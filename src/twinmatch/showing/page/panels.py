@@ -8,7 +8,7 @@ from html import escape
 from itertools import islice
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.description import nth
+from twinmatch.description import Quantity, nth
 from twinmatch.offline.summary import trust_range
 from twinmatch.safety import is_limit
 from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
@@ -58,11 +58,15 @@ def first_screen(state: DashboardState) -> str:
     return f'<div class="hero">{badge}{answers}<div class="answer to-do">{to_do}</div></div>'
 
 
+def _any_of(quantities: Iterable[Quantity]) -> str:
+    """Their different names, as alternatives."""
+    return " or the ".join(dict.fromkeys(quantity.name for quantity in quantities))
+
+
 def what_to_do(state: DashboardState) -> str:
     """The next thing for the operator to do."""
-    said = state.described
-    kinds = zip(*said.loops, strict=True)
-    asked, _, inputs = (" or the ".join(dict.fromkeys(q.name for q in kind)) for kind in kinds)
+    described = state.described
+    references, _, inputs = map(_any_of, zip(*described.loops, strict=True))
     if state.fault:
         if is_limit(state.fault):
             return "The drive is limited. Measure what is heated; if the reading is right, clear the fault."
@@ -73,14 +77,14 @@ def what_to_do(state: DashboardState) -> str:
         return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
     if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
         return (
-            f"Step the {asked} and hold it for some minutes (in open loop the {inputs}): a twin is matched "
-            "to the plant's response."
+            f"Step the {references} and hold it for some minutes (in open loop the {inputs}): a twin is "
+            "matched to the plant's response."
         )
-    unit = said.outputs[0].unit + (f" of {said.loops[0][1].name}" if said.outputs[1:] else "")
-    return _advice(state.verdict, unit, said.outputs[0].decimals - 1, state.tally.held)
+    unit = described.outputs[0].unit + (f" of {described.loops[0][1].name}" if described.outputs[1:] else "")
+    return _advice(state.verdict, unit, described.outputs[0].decimals - 1, state.tally.held)
 
 
-def _advice(verdict: Verdict, unit: str, decimals: int, held: Sequence[tuple[float, float]]) -> str:
+def _advice(verdict: Verdict, unit: str, decimals: int, ranges: Sequence[tuple[float, float]]) -> str:
     """What to do after a verdict."""
     if verdict.level is TrustLevel.FAULT:
         _, placed, where = verdict.reason.partition(_PLACE)
@@ -91,22 +95,22 @@ def _advice(verdict: Verdict, unit: str, decimals: int, held: Sequence[tuple[flo
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
         )
-    levels = trust_range(held, unit, decimals)
+    levels = trust_range(ranges, unit, decimals)
     proven = f"; its forecasts have come true {levels}" if levels else ""
     return f"Nothing. Ask the leader what comes next{proven}."
 
 
-def _answer(question: str, answer: str, more: str) -> str:
+def _answer(question: str, answer: str, remark: str) -> str:
     return (
         f'<div class="answer"><div class="label">{escape(question)}</div>'
-        f'<div class="name">{escape(answer)}</div><div class="label">{more}</div></div>'
+        f'<div class="name">{escape(answer)}</div><div class="label">{remark}</div></div>'
     )
 
 
 def _leader(state: DashboardState) -> str:
     nominal = (state.verdict and state.verdict.nominal) or "none yet"
-    more = f"nominal, the centre of the family: <b>{escape(nominal)}</b>"
-    return _answer("leader, the twin to ask what comes next", state.leader or nominal, more)
+    remark = f"nominal, the centre of the family: <b>{escape(nominal)}</b>"
+    return _answer("leader, the twin to ask what comes next", state.leader or nominal, remark)
 
 
 def _forecast(state: DashboardState) -> str:
@@ -135,15 +139,18 @@ def _health(state: DashboardState) -> str:
     verdict = state.verdict
     if verdict is None:
         return _answer("plant health", "not known yet", "no verdict yet")
-    of = {output.name: output for output in state.described.outputs}
-    estimates = (estimate_words(one, of[one.signal], state.period) for one in state.read_through)
+    output_named = {output.name: output for output in state.described.outputs}
+    estimates = (
+        estimate_words(estimate, output_named[estimate.signal], state.period)
+        for estimate in state.read_through
+    )
     through = "".join(f"<br>{escape(words)}" for words in estimates)
     if not verdict.fault:
         return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
     name, _, since = fault_words(verdict, state.period).partition(" since ")
-    at = f"since {since}: " if since else ""
+    begin = f"since {since}: " if since else ""
     name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
-    return _answer("plant health", name, escape(f"{at}{verdict.reason}") + through)
+    return _answer("plant health", name, escape(f"{begin}{verdict.reason}") + through)
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -151,36 +158,40 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
     if verdict is None:
         return '<p class="quiet">no verdict yet</p>'
     cells = row(verdict, period)
-    more = f"<p><b>{escape(sentence)}</b></p>" if sentence else ""
-    more += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict, period))
-    if each := trust_by_signal(verdict):
-        lines = ["".join(f"<td>{escape(cell)}</td>" for cell in signal.values()) for signal in each]
-        more += _table([(head, "", "") for head in each[0]], [f"<tr>{line}</tr>" for line in lines])
+    further = f"<p><b>{escape(sentence)}</b></p>" if sentence else ""
+    further += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict, period))
+    if trust_of_signals := trust_by_signal(verdict):
+        lines = [
+            "".join(f"<td>{escape(cell)}</td>" for cell in signal.values()) for signal in trust_of_signals
+        ]
+        further += _table(
+            [(head, "", "") for head in trust_of_signals[0]], [f"<tr>{line}</tr>" for line in lines]
+        )
     figures = _tiles(
         [("judged at / s" if n == "t / s" else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
     )
     why = f'<p><span class="label">newest verdict:</span> {escape(verdict.reason)}</p>'
-    return f'<div class="why">{figures}{why}{more}</div>'
+    return f'<div class="why">{figures}{why}{further}</div>'
 
 
 def tiles(state: DashboardState) -> str:
     """Current values of plant and twins."""
-    known = (state.plant.newest() or {}) | (state.twin.newest() or {})
+    values = (state.plant.newest() or {}) | (state.twin.newest() or {})
     loops = state.described.loops
     rows = []
     for k, (asked, output, control) in enumerate(loops):
-        of = output.name if loops[1:] else "plant"
+        source = output.name if loops[1:] else "plant"
         y = output.decimals
         u = control.decimals
         shown = (
             (asked.label, "reference", y),
-            (with_unit(of, output.unit), "output", y),
+            (with_unit(source, output.unit), "output", y),
             (with_unit("closed-loop twin", output.unit), "closed_output", y),
             (with_unit("driven twin", output.unit), "driven_output", y),
             (f"plant's {control.label}", "input", u),
             (f"twin's {control.label}", "closed_input", u),
         )
-        rows.append([(label, number(known.get(nth(name, k)), places)) for label, name, places in shown])
+        rows.append([(label, number(values.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
         for entries, (_, _, control), applied in zip(
             rows, loops, point_values(state.drive.input), strict=False
@@ -201,12 +212,12 @@ def status(state: DashboardState, now: float) -> str:
     elif player is not None:
         rate = "as fast as possible" if player.rate == 0 else f"{player.rate:g} × recorded speed"
         pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
-    known = state.nodes.reports
-    worst = [n for n in known if not state.nodes.at_rest(n) and state.nodes.level(n, now)]
+    reports = state.nodes.reports
+    worst = [n for n in reports if not state.nodes.at_rest(n) and state.nodes.level(n, now)]
     if worst:
-        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(known)} nodes need attention"))
-    elif known and ended is None:
-        fine = "1 node is OK" if len(known) == 1 else f"{len(known)} nodes are OK"
+        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(reports)} nodes need attention"))
+    elif reports and ended is None:
+        fine = "1 node is OK" if len(reports) == 1 else f"{len(reports)} nodes are OK"
         pills.append(_pill(TrustLevel.TRUSTED, fine))
     return f'<div class="status">{"".join(pills)}</div>'
 
@@ -215,8 +226,8 @@ def _sample_pill(state: DashboardState, now: float) -> str:
     if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
     quiet = now - state.received_at
-    at = (state.sample or 0) * state.period
-    newest = f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s"
+    sample_time = (state.sample or 0) * state.period
+    newest = f"sample {state.sample}, {number(sample_time, 0 if state.period >= 1 else 1)} s"
     if quiet > SILENCE * max(1.0, state.period) and state.nodes.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s after {newest}")
     return _pill(TrustLevel.TRUSTED, newest)
@@ -232,13 +243,13 @@ def alarm(state: DashboardState) -> str:
     return f'<div class="alarm" role="alert"><b>{sign} {title}</b><br>{why}</div>'
 
 
-def family_table(verdict: Verdict | None, *, every: bool) -> str:
-    """The candidates with their criteria for both outputs together: `every` order, or the chosen one."""
+def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
+    """The candidates with their criteria for both outputs together: `all_orders`, or the chosen one."""
     if verdict is None or not verdict.candidates:
         return NO_CANDIDATE
     criteria = computed(verdict.modelled)
-    of = verdict.candidates[0].parameters.model
-    matched = [parameter_format(of.plant, name) for name in of.structure.free]
+    model = verdict.candidates[0].parameters.model
+    matched = [parameter_format(model.plant, name) for name in model.structure.free]
     orders = [("order", "", "")] if verdict.modelled else []
     columns = [*(for_both(verdict.candidates[0], criteria) if orders else ()), *FIGURES]
     head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
@@ -247,13 +258,13 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     for candidate in verdict.family:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
-        rest = [column.text(candidate) for column in FIGURES]
-        rest += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
+        figures = [column.text(candidate) for column in FIGURES]
+        figures += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
         both, _ = outputs_of(candidate.orders)[-1]  # in open loop the output alone
         shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
         for line in shown or (None,):
             chosen = line is None or line.chosen
-            if not (every or chosen):
+            if not (all_orders or chosen):
                 continue
             cells = [f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"]
             if line is not None:
@@ -261,8 +272,10 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
                 cells += [
                     f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
                 ]
-            cells += [f"<td>{escape(value) if chosen else ''}</td>" for value in rest]
-            kind = "nominal-row" if nominal and chosen else "" if chosen else "faded"
+            cells += [f"<td>{escape(value) if chosen else ''}</td>" for value in figures]
+            kind = "faded"
+            if chosen:
+                kind = "nominal-row" if nominal else ""
             lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return _table(head, lines)
 
@@ -272,11 +285,11 @@ def events_table(events: Iterable[Event], session: int, period: float) -> str:
     lines = []
     for event in islice(events, RECENT):
         when = event.time(period)
-        at = DASH if when is None else number(when, 0)
+        begin = DASH if when is None else number(when, 0)
         if event.session != session:
-            at = f"session {event.session}: {at}"
+            begin = f"session {event.session}: {begin}"
         lines.append(
-            f'<tr><td class="number">{escape(at)}</td><td class="wide">'
+            f'<tr><td class="number">{escape(begin)}</td><td class="wide">'
             f'<span class="mark" style="color:{MARK_INKS[event.mark]}">{MARK_SIGNS[event.mark]}</span>'
             f"<b>{escape(event.title)}</b>"
             f'<div class="quiet">{escape(event.why)}</div></td></tr>'
@@ -290,12 +303,12 @@ def nodes(reports: NodeReports, now: float) -> str:
     """Every reporting node with its report."""
     shown = []
     for name in sorted(reports.reports):
-        rest = reports.at_rest(name)
+        at_rest = reports.at_rest(name)
         level = reports.level(name, now)
-        colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
+        colour = LEVELS[TrustLevel.UNKNOWN if at_rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'
-            f"{escape(name.removesuffix(': health'))}</b> {AT_REST if rest else NODE_WORDS[level]}"
+            f"{escape(name.removesuffix(': health'))}</b> {AT_REST if at_rest else NODE_WORDS[level]}"
             f'<div class="quiet">{escape(reports.message(name))}</div></div>'
         )
     if not shown:
@@ -313,8 +326,10 @@ def what_if(answer: WhatIfAnswer | None) -> str:
 
 def notice(state: DashboardState) -> str:
     """The result of the last request."""
-    said = state.notice
-    return f'<p class="{"good" if said.done else "bad"}">{escape(said.text)}</p>' if said else ""
+    newest = state.notice
+    if newest is None:
+        return ""
+    return f'<p class="{"good" if newest.done else "bad"}">{escape(newest.text)}</p>'
 
 
 def _more(verdict: Verdict, period: float) -> list[str]:

@@ -100,9 +100,9 @@ class Requests:
     def continue_profile(self) -> None:
         """Have the controller continue its profile, which waits since an experiment."""
         if self.control:
-            off = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
-            given = [Parameter(name="course.followed", value=off)]
-            request = SetParametersAtomically.Request(parameters=given)
+            not_followed = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+            parameters = [Parameter(name="course.followed", value=not_followed)]
+            request = SetParametersAtomically.Request(parameters=parameters)
             self._call(self._course, request, "the controller", self._show_profile)
 
     def law_back(self) -> None:
@@ -143,15 +143,15 @@ class Requests:
             self._state.notify(False, why)
         else:
             self._reference.publish(Float64(data=level))
-            done = f"requested {level:g} {unit}; the set-point above follows with the next sample"
-            self._state.notify(True, done)
+            confirmation = f"requested {level:g} {unit}; the set-point above follows with the next sample"
+            self._state.notify(True, confirmation)
 
     def _call(
         self,
         client: Any,
         request: Any,
         server: str,
-        then: Callable[[Any], None],
+        take_answer: Callable[[Any], None],
         otherwise: Callable[[str], None] | None = None,
     ) -> None:
         def call() -> None:
@@ -164,7 +164,7 @@ class Requests:
         def done(future: Any) -> None:
             answer = future.result()
             if answer is not None and self._node.entrance.passes(client.srv_name, answer):
-                then(answer)
+                take_answer(answer)
 
         self._later(call)
 
@@ -172,8 +172,8 @@ class Requests:
         self._state.notify(answer.success, answer.message)
 
     def _show_profile(self, answer: Any) -> None:
-        done = "the controller's profile continues where it was"
-        self._state.notify(answer.result.successful, answer.result.reason or done)
+        confirmation = "the controller's profile continues where it was"
+        self._state.notify(answer.result.successful, answer.result.reason or confirmation)
 
     def _show_rate_result(self, answer: Any) -> None:
         for result in answer.results:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,16 +254,14 @@ class DashboardState:
             if getattr(self, "_loops", 0) != loops:
                 self._loops = loops
                 capacity = self._capacity
-                self.plant, self.twin = (
-                    RollingTable([nth(name, k) for name in names for k in range(loops)], capacity)
-                    for names in (LOOP, TwinRow._fields)
-                )
+                self.plant = RollingTable(_columns_of_loops(LOOP, loops), capacity)
+                self.twin = RollingTable(_columns_of_loops(TwinRow._fields, loops), capacity)
 
     @property
     def read_through(self) -> list[EstimatedReading]:
         """What sensors should read now that are not believed."""
         newest = self.sample or 0
-        return [one for one in self.estimates.values() if newest - one.sample <= LATE]
+        return [estimate for estimate in self.estimates.values() if newest - estimate.sample <= LATE]
 
     def push_sample(self, sample: Sample, now: float) -> None:
         """Take a sample received at `now` (s), once the plant it is of has been described."""
@@ -292,7 +290,7 @@ class DashboardState:
 
     def _spread(self, kinds: Iterable[Sequence[float]]) -> list[float]:
         """Values of each kind, of fewer than loops the last again."""
-        return [of[min(k, len(of) - 1)] for of in kinds for k in range(self._loops)]
+        return [values[min(k, len(values) - 1)] for values in kinds for k in range(self._loops)]
 
     def push_estimate(self, estimate: EstimatedReading) -> None:
         """Take what a sensor should read."""
@@ -336,8 +334,8 @@ class DashboardState:
         question = f"set-point {level:g} {self.described.reference.unit}"
         if hold is None:
             return question, [0.0], [level]
-        now = (self.plant.newest() or {"reference": level})["reference"]
-        return f"{question} for {hold:g} s", [0.0, hold], [level, now]
+        newest_level = (self.plant.newest() or {"reference": level})["reference"]
+        return f"{question} for {hold:g} s", [0.0, hold], [level, newest_level]
 
     def answer(self, answer: WhatIfAnswer) -> None:
         """Take a what-if question and its answer."""
@@ -425,6 +423,11 @@ class DashboardState:
         self.event_count += 1
 
 
+def _columns_of_loops(names: Iterable[str], loops: int) -> list[str]:
+    """Each name for each of so many loops."""
+    return [nth(name, k) for name in names for k in range(loops)]
+
+
 def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     """Summarise the samples that are kept, with the newest verdict, into `state.sentence`.
 
@@ -436,19 +439,30 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
         tally = copy(state.tally)
         taught = list(state.taught)
         columns, _ = state.plant.since(0)
-        kinds = zip(LOOP, state.described.shape, strict=True)
-    names = ([nth(name, k) for k in range(size)] for name, size in kinds)
-    signals = (zip(*(columns[name].tolist() for name in of), strict=True) for of in names)
-    rows = zip(columns["index"].tolist(), *signals, strict=True)
-    samples = [Sample(int(k), int(k), *of) for k, *of in rows if not math.isnan(of[0][0])]  # NaN: a gap
+        shape = state.described.shape
+    samples = _samples_in(columns, shape)
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
         with suppress(TwinmatchError):  # so few samples that there is no window
             law = settings.law and settings.law.at_period(period)
-            own = replace(settings, period=period, law=law)
-            held = filled_stretches(samples, own, taught)
-            longest = max(held, key=len)
-            summed_up = sentence(conclude(tally, lambda: (longest, len(held)), law, period=period))
+            settings_at_period = replace(settings, period=period, law=law)
+            without_gaps = filled_stretches(samples, settings_at_period, taught)
+            longest = max(without_gaps, key=len)
+            summary = conclude(tally, lambda: (longest, len(without_gaps)), law, period=period)
+            summed_up = sentence(summary)
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up
+
+
+def _samples_in(columns: Mapping[str, NDArray[Any]], shape: tuple[int, int, int]) -> list[Sample]:
+    """The samples in columns of set-points, outputs and inputs, so many of each, without the gaps (NaN)."""
+    rows_of_kinds = []
+    for name, size in zip(LOOP, shape, strict=True):
+        signals = [columns[nth(name, k)].tolist() for k in range(size)]
+        rows_of_kinds.append(zip(*signals, strict=True))
+    samples = []
+    for index, references, outputs, inputs in zip(columns["index"].tolist(), *rows_of_kinds, strict=True):
+        if not math.isnan(references[0]):
+            samples.append(Sample(int(index), int(index), references, outputs, inputs))
+    return samples

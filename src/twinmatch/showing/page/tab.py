@@ -34,9 +34,9 @@ _AT_END = {"align-items": "flex-end", "flex-wrap": "wrap"}
 
 
 def _button(label: str, width: int, kind: str, on_click: Callable[[], None]) -> Button:
-    made = Button(label=label, width=width, button_type=kind, stylesheets=[BUTTONS])
-    made.on_click(on_click)
-    return made
+    button = Button(label=label, width=width, button_type=kind, stylesheets=[BUTTONS])
+    button.on_click(on_click)
+    return button
 
 
 def _entry(title: str, width: int, **limits: float) -> NumericInput:
@@ -184,9 +184,9 @@ class Tab:
     def update(self) -> None:
         """Update whatever has changed."""
         state = self._state
-        now = self._clock()
+        time = self._clock()
         with state.lock:
-            state.nodes.expire(now)
+            state.nodes.expire(time)
             seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active][1]
             span = state.plant.capacity
             if seconds:
@@ -194,7 +194,7 @@ class Tab:
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
-            self._update_texts(now)
+            self._update_texts(time)
             begun = state.sample is not None
             if self._changed("happened", (state.verdicts, state.event_count, state.period, begun)):
                 mine = [e for e in reversed(state.events) if e.session == state.session]
@@ -206,7 +206,7 @@ class Tab:
                 none_yet = state.verdict is None or not state.verdict.candidates
                 self._matrix.figure.visible = not none_yet
                 self._show("matrix_note", panels.NO_CANDIDATE if none_yet else "")
-                self._show("family", panels.family_table(state.verdict, every=bool(self._every.active)))
+                self._show("family", panels.family_table(state.verdict, all_orders=bool(self._every.active)))
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
             self._player.update(state.nodes.player)

@@ -74,8 +74,8 @@ def pictures(
         planned += _of_forecasts(judgement, tested, k, f"_{next(iter(tested.plant.outputs))}" if k else "")
     planned += _of_family(judgement, members)
     queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
-    given = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
-    drawn = {name: result() for name, result in reversed(given)}  # this process begins with the last
+    tasks = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
+    drawn = {name: result() for name, result in reversed(tasks)}  # this process begins with the last
     return {picture.name: replace(picture, svg=drawn[picture.name]) for picture in planned}
 
 
@@ -104,17 +104,17 @@ def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterat
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
         f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
     )
-    of = "" if j.settings.plant.single else f": {signal_names(tested.plant).output}"
-    title = f"Forecasts compared with measurements{of}"
+    of_output = "" if j.settings.plant.single else f": {signal_names(tested.plant).output}"
+    title = f"Forecasts compared with measurements{of_output}"
     yield Picture(f"forecasts{ending}", title, alt, partial(draw_backtest, tested))
     if fans := fans_of(tested, j, k):
-        made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
+        origins = ", ".join(f"{shown.forecast.sample} by {shown.forecast.candidate}" for shown in fans)
         alt = (
             "Forecasts with their bands, the measurements before and after, and measured minus forecast "
-            f"within the band. Made at samples {made}."
+            f"within the band. Made at samples {origins}."
         )
         draw = partial(draw_forecasts, fans, tested.plant)
-        yield Picture(f"leader_forecasts{ending}", f"Forecasts of the leader{of}", alt, draw)
+        yield Picture(f"leader_forecasts{ending}", f"Forecasts of the leader{of_output}", alt, draw)
 
 
 def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
@@ -155,14 +155,14 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
 def fans_of(tested: Backtest, judgement: Judgement, k: int = 0) -> tuple[Fan, ...]:
     """The leader's forecasts of the k-th output during which its set-point (or the input) moved most, in
     order of time."""
-    held = [window.alone(k) for window in judgement.stretches]
+    stretches_of_output = [window.alone(k) for window in judgement.stretches]
 
     def moved(forecast: Forecast) -> float:
         values = asked(forecast)
         return float(np.ptp(values)) if values.size else 0.0
 
     hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
-    return tuple(fan(one, held) for one in sorted(hardest, key=lambda f: f.sample))
+    return tuple(fan(forecast, stretches_of_output) for forecast in sorted(hardest, key=lambda f: f.sample))
 
 
 def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
@@ -188,7 +188,9 @@ def _session_alt(j: Judgement) -> str:
     inputs = shown_inputs(j.settings.plant)
     closed = j.settings.law is not None
     set_point = "set-point, " if closed else ""
-    measured = [f"{y} ({y.text(min(of), max(of))})" for y, of in zip(outputs, readings, strict=True)]
+    measured = [
+        f"{y} ({y.text(min(values), max(values))})" for y, values in zip(outputs, readings, strict=True)
+    ]
     signals = number_list([*measured, *map(str, inputs)])
     base = f"Time series of {set_point}measured {signals}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
@@ -196,8 +198,8 @@ def _session_alt(j: Judgement) -> str:
         return f"{base}; there is no twin to compare them with."
     twins = "the driven twin"
     fitted = "driven"
-    each = j.summary.fits.outputs if j.summary.fits else ()
-    fits = [f"{y} to {100 * share:.1f}" for y, share in zip(outputs, each, strict=True)]
+    fit_of_output = j.summary.fits.outputs if j.summary.fits else ()
+    fits = [f"{y} to {100 * share:.1f}" for y, share in zip(outputs, fit_of_output, strict=True)]
     if closed:
         twins = "the closed-loop and the driven twin"
         fitted = "closed-loop"

@@ -106,9 +106,9 @@ def _text(value: object) -> str:
 
 
 def _versions() -> tuple[tuple[str, str], ...]:
-    own = (("twinmatch", twinmatch.__version__), ("Python", platform.python_version()))
+    of_program = (("twinmatch", twinmatch.__version__), ("Python", platform.python_version()))
     libraries = ((name, _version(name)) for name in _LIBRARIES)
-    return (*own, *libraries, ("system", f"{platform.system()} {platform.machine()}"))
+    return (*of_program, *libraries, ("system", f"{platform.system()} {platform.machine()}"))
 
 
 def _version(library: str) -> str:
@@ -190,28 +190,31 @@ def _judge(
     listener = Listener(session.name, session.samples, terms.settings, Choices(peers=tuple(peers)), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _verify(session, judgement, unlike)
-    rest = part_of(watch, 1, 2)
-    return JudgedSession(session, judgement, listener, terms.source, recorded, identical, rest)
+    watch_rest = part_of(watch, 1, 2)
+    return JudgedSession(session, judgement, listener, terms.source, recorded, identical, watch_rest)
 
 
 def _verify(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
     count = holds_verdicts(session)
     if not count:
         return "The session has no recorded verdicts; all of them were computed for this report.", None
-    again = "They were computed again for this report and"
+    recomputed = "They were computed again for this report and"
     try:
         comparison = None if unlike else compare(session, judgement)
     except TwinmatchError as error:
         comparison = None
         unlike = str(error)
     if comparison is None:
-        held = f"The session has {count} recorded verdicts."
-        return f"{held} {again} could not be compared with the recorded ones: {unlike}.", None
+        recorded = f"The session has {count} recorded verdicts."
+        return f"{recorded} {recomputed} could not be compared with the recorded ones: {unlike}.", None
     matches = f"{comparison.matches} match{'' if comparison.matches == 1 else 'es'}"
-    held = f"The session has {comparison.verdicts} recorded verdicts and {matches}."
+    recorded = f"The session has {comparison.verdicts} recorded verdicts and {matches}."
     if comparison.identical:
-        return f"{held} {again} are the same, bit for bit.", True
-    return f"{held} {again} differ from the recorded ones. First difference: {comparison.difference}.", False
+        return f"{recorded} {recomputed} are the same, bit for bit.", True
+    return (
+        f"{recorded} {recomputed} differ from the recorded ones. First difference: {comparison.difference}.",
+        False,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,8 +273,8 @@ class SessionReport:
         last = last_verdict(judgement.verdicts)
         nominal = self.nominal
         tests = judged.tests
-        words = [*plain_words(judgement), *(line for each in tests for line in backtest_words(each)[-1:])]
-        others = [m for m in self.members if not m.nominal and m.modelled]
+        words = [*plain_words(judgement), *(line for tested in tests for line in backtest_words(tested)[-1:])]
+        other_members = [m for m in self.members if not m.nominal and m.modelled]
         period = settings.period
         level = judgement.summary.level
         closed = settings.law is not None
@@ -284,13 +287,13 @@ class SessionReport:
             "level_colour": LEVELS[level],
             "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
             "words": [*words, *self.memory],
-            "tested": [_tested(each, judgement, k) for k, each in enumerate(tests)],
+            "tested": [_tested(tested, judgement, k) for k, tested in enumerate(tests)],
             "estimates": [course.line(period) for course in judgement.estimates],
             "by_signal": tables.signal_table(last),
             "peers": _peer_words(judged.listener.common.peers, closed=closed),
             "horizons": ", ".join(f"{h:g}" for h in tests[0].horizons),
             "confidence": f"{100 * tests[0].confidence:.0f}",
-            "forecast_notes": list(dict.fromkeys(note for each in tests for note in each.notes)),
+            "forecast_notes": list(dict.fromkeys(note for tested in tests for note in tested.notes)),
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
@@ -299,30 +302,47 @@ class SessionReport:
             "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
             "family": tables.family_table(self.members),
             "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed),
-            "verdict": last,
             "meanings": {c.label: c.meaning for c in (*CRITERIA, *FIGURES)},
-            "criteria": tables.criterion_tables(last) if last else [],
-            "weights": tables.order_table(last) if last else None,
-            "structure": tables.structure_table(last) if last else None,
-            "gaps": tables.gap_table(last) if last else None,
-            "identified": tables.identified_table(last) if last and last.modelled else None,
+            **_of_verdict(last, plant),
             "coefficients": tables.coefficient_table(nominal) if nominal and nominal.modelled else None,
-            "other_coefficients": list(map(tables.coefficient_table, others)),
+            "other_coefficients": list(map(tables.coefficient_table, other_members)),
             "limits": settings.limits,
             "schedule": settings.schedule,
             "judged": judged,
-            "plant": plant,
-            "called": signal_names(plant) if plant.single else None,
-            "outputs": number_list(map(str, shown_outputs(plant))),
-            "inputs": number_list(map(str, shown_inputs(plant))),
-            "sensors": number_list(dict.fromkeys(output.sensor for output in plant.outputs.values())),
-            "unit": outputs_unit(plant),
-            "gap_points": _points(last, plant) if last else [],
+            **_of_plant(plant),
             "closed": closed,
             "asked": "set-point" if closed else "input",
             "others": ", ".join(n for n in plant.structures if n != matched),
             "provenance": self.provenance,
         }
+
+
+def _of_plant(plant: type[Plant]) -> dict[str, object]:
+    """The plant, and its signals in words."""
+    return {
+        "plant": plant,
+        "called": signal_names(plant) if plant.single else None,
+        "outputs": number_list(map(str, shown_outputs(plant))),
+        "inputs": number_list(map(str, shown_inputs(plant))),
+        "sensors": number_list(dict.fromkeys(output.sensor for output in plant.outputs.values())),
+        "unit": outputs_unit(plant),
+    }
+
+
+def _of_verdict(verdict: Verdict | None, plant: type[Plant]) -> dict[str, object]:
+    """What the sections on models and distances show of the last verdict."""
+    if verdict is None:
+        empty = dict.fromkeys(("verdict", "weights", "structure", "gaps", "identified"))
+        return {**empty, "criteria": [], "gap_points": []}
+    return {
+        "verdict": verdict,
+        "criteria": tables.criterion_tables(verdict),
+        "weights": tables.order_table(verdict),
+        "structure": tables.structure_table(verdict),
+        "gaps": tables.gap_table(verdict),
+        "identified": tables.identified_table(verdict) if verdict.modelled else None,
+        "gap_points": _points(verdict, plant),
+    }
 
 
 def _tested(tested: Backtest, judgement: Judgement, k: int) -> dict[str, object]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple, TypeVar
 
 from twinmatch.comparing import REFUSED, CandidateScore, Verdict
@@ -35,7 +36,7 @@ from twinmatch.showing.quantities import (
 )
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.showing.verdicts import events, match_word, refusal, trust_by_signal
-from twinmatch.signals import point_text
+from twinmatch.signals import FloatArray, point_text
 from twinmatch.twin import MatchReport
 
 Item = TypeVar("Item")
@@ -129,8 +130,8 @@ def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
 
 def _ends(match: Match, q: ParameterFormat) -> str:
     """The ends of a free parameter's interval; empty where they are not known."""
-    known = interval(match, q.name)
-    return f"{q.text(known.low)} to {q.text(known.high)}" if known.known else ""
+    ends = interval(match, q.name)
+    return f"{q.text(ends.low)} to {q.text(ends.high)}" if ends.known else ""
 
 
 def structure_table(verdict: Verdict) -> ReportTable | None:
@@ -156,22 +157,26 @@ def family_table(members: Sequence[Member]) -> ReportTable | None:
     if not members:
         return None
     closed = any(m.settings.law is not None for m in members)
-
-    def parameter(m: Member, q: ParameterFormat) -> Cell:
-        if m.match is None or q.name not in m.match.free:
-            return Cell(q.text(m.score.parameters.get(q.name, math.nan)))
-        ends = _ends(m.match, q)
-        return Cell(q.text(value_of(m.match, q.name)) + (f" ({ends})" if ends else ""))
-
     shown: list[tuple[str, Callable[[Member], Cell]]] = [
         ("candidate", lambda m: _head(m.score.name)),
         ("samples", lambda m: Cell(_samples(m.score) if m.fitted else "candidate file")),
-        *((q.label, lambda m, q=q: parameter(m, q)) for q in _formats(members)),
-        ("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")),
-        *([("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–"))] if closed else []),
     ]
+    for q in _formats(members):
+        shown.append((q.label, partial(_parameter_cell, q)))
+    shown.append(("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")))
+    if closed:
+        shown.append(("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–")))
     marked = {k for k, m in enumerate(members) if m.nominal}
     return _table("Parameters of the family, with 95 % intervals", members, shown, marked)
+
+
+def _parameter_cell(q: ParameterFormat, member: Member) -> Cell:
+    """A parameter of a candidate, with its interval if it is free."""
+    if member.match is None or q.name not in member.match.free:
+        return Cell(q.text(member.score.parameters.get(q.name, math.nan)))
+    ends = _ends(member.match, q)
+    value = q.text(value_of(member.match, q.name))
+    return Cell(f"{value} ({ends})" if ends else value)
 
 
 def _samples(score: CandidateScore) -> str:
@@ -195,26 +200,30 @@ def match_table(
     reasons = {v.sample: refusal(v) for v in verdicts if v.match == REFUSED}
     plant = matches[0].match.parameters.model.plant
     names = in_order(plant, {name for m in matches for name in m.match.free})
-    shown = [parameter_format(plant, name) for name in names]
-
-    def parameter(report: MatchReport, q: ParameterFormat) -> Cell:
-        fitted = math.isfinite(report.match.chi2) and q.name in report.match.free
-        return Cell(q.text(value_of(report.match, q.name)) if fitted else "–")
 
     def result(report: MatchReport) -> Cell:
         word = match_word(report, verdicts)
         return _words(word, mark=word.partition(":")[0])
 
-    of_match: list[tuple[str, Callable[[MatchReport], Cell]]] = [
+    shown: list[tuple[str, Callable[[MatchReport], Cell]]] = [
         ("t / s", lambda m: Cell(number(m.sample * period, 0))),
         ("set-point" if closed else "operating point", lambda m: Cell(point_text(m.operating_point))),
         ("match", result),
-        *((q.label, lambda m, q=q: parameter(m, q)) for q in shown),
-        ("fit y / %", lambda m: Cell(percent(m.match.fit.y))),
-        *([("fit u / %", lambda m: Cell(percent(m.match.fit.u)))] if closed else []),
-        ("why", lambda m: _words(reasons.get(m.sample, m.match.reason))),
     ]
-    return _table("Every match of the session", matches, of_match)
+    for name in names:
+        q = parameter_format(plant, name)
+        shown.append((q.label, partial(_matched_cell, q)))
+    shown.append(("fit y / %", lambda m: Cell(percent(m.match.fit.y))))
+    if closed:
+        shown.append(("fit u / %", lambda m: Cell(percent(m.match.fit.u))))
+    shown.append(("why", lambda m: _words(reasons.get(m.sample, m.match.reason))))
+    return _table("Every match of the session", matches, shown)
+
+
+def _matched_cell(q: ParameterFormat, report: MatchReport) -> Cell:
+    """A parameter as it was matched; a dash where it was not fitted."""
+    is_fitted = math.isfinite(report.match.chi2) and q.name in report.match.free
+    return Cell(q.text(value_of(report.match, q.name)) if is_fitted else "–")
 
 
 def signal_table(verdict: Verdict | None) -> ReportTable | None:
@@ -254,7 +263,8 @@ def order_table(verdict: Verdict) -> ReportTable | None:
     names = [o.order for o in verdict.modelled[0].orders]
     rows = []
     for c in verdict.modelled:
-        best = [o.weight == max(o.weight for o in c.orders) for o in c.orders]
+        largest = max(o.weight for o in c.orders)
+        best = [o.weight == largest for o in c.orders]
         texts = [number(o.weight, 3) for o in c.orders] + [number(o.aic_difference, 1) for o in c.orders]
         rows.append((_head(c.name), *map(Cell, texts, best + best)))
     called = ("candidate", *(f"weight {n}" for n in names), *(f"ΔAIC {n}" for n in names))
@@ -271,8 +281,8 @@ _IDENTIFIED: Final = FigureColumn(
 
 def gap_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps, their sums, and the further distances and probabilities that a candidate has."""
-    known = (*FIGURES[1:], _TO_NOMINAL)
-    extra = [column for column in known if any(column.text(c) != number(None) for c in verdict.candidates)]
+    columns = (*FIGURES[1:], _TO_NOMINAL)
+    extra = [column for column in columns if _has_figures(column, verdict.candidates)]
     sums = [c.nu_gap_sum for c in verdict.candidates]
     title = "ν-gap between the plants"
     return _distances(title, verdict, verdict.candidates, verdict.nu_gap, sums=sums, extra=extra)
@@ -284,6 +294,10 @@ def identified_table(verdict: Verdict) -> ReportTable:
     title = f"ν-gap between the models of order {verdict.order}"
     gaps = verdict.identified_gap
     return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=[_IDENTIFIED])
+
+
+def _has_figures(column: FigureColumn, candidates: Sequence[CandidateScore]) -> bool:
+    return any(column.text(candidate) != number(None) for candidate in candidates)
 
 
 def _distances(
@@ -298,9 +312,9 @@ def _distances(
     """A matrix of distances with its column sums, followed by more columns."""
     rows = []
     for c, gaps, total in zip(candidates, matrix, sums, strict=True):
-        more = (Cell(column.text(c)) for column in extra)
+        further_cells = (Cell(column.text(c)) for column in extra)
         total_cell = Cell(number(total, 3), best=total == min(sums))
-        rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *more))
+        rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *further_cells))
     names = [c.name for c in candidates]
     marked = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
     return ReportTable(title, ("candidate", *names, "Σ", *(c.label for c in extra)), tuple(rows), marked)
@@ -314,14 +328,18 @@ def coefficient_table(member: Member) -> ReportTable:
     for output, title in outputs_of(member.score.orders)[:2]:
         for k, polynomial in enumerate("BCDF"):
             first = (_head(title, 4),) if k == 0 else ()
-            outputs = (m.y if output == "y" else m.u for m in models)
-            values = (getattr(model, polynomial).tolist() for model in outputs if model is not None)
-            # In q⁻¹, constant term first, to six significant digits.
-            texts = ("  ".join(f"{v:.6g}".replace("-", "−") for v in row) for row in values)
-            rows.append((*first, _head(polynomial), *(_words(text, mark="poly") for text in texts)))
+            of_orders = [m.y if output == "y" else m.u for m in models]
+            cells = [_polynomial_cell(getattr(model, polynomial)) for model in of_orders if model is not None]
+            rows.append((*first, _head(polynomial), *cells))
     names = ("output", "", *(f"order {m.order}" for m in models))
     mark = ", nominal" if member.nominal else ""
     return ReportTable(f"Box–Jenkins models of candidate {member.score.name}{mark}", names, tuple(rows))
+
+
+def _polynomial_cell(coefficients: FloatArray) -> Cell:
+    """In q⁻¹, constant term first, to six significant digits."""
+    text = "  ".join(f"{value:.6g}".replace("-", "−") for value in coefficients.tolist())
+    return _words(text, mark="poly")
 
 
 def forecast_tables(tested: Backtest) -> list[ReportTable]:
@@ -331,12 +349,13 @@ def forecast_tables(tested: Backtest) -> list[ReportTable]:
     tables = []
     for horizon, cards in tested.at_horizons.items():
         live = [card for card in cards if card.who not in TWINS[1:]]
-        best = {card.who for card in live if card.median == min(c.median for c in live)}
+        least = min((card.median for card in live), default=math.nan)
+        best = {card.who for card in live if card.median == least}
         rows = []
         for card in cards:
-            who, *figures = (text(card) for _, text in columns)
+            forecaster, *figures = (text(card) for _, text in columns)
             error = Cell(figures[0], best=card.who in best)
-            rows.append((_head(who), error, *map(Cell, figures[1:])))
+            rows.append((_head(forecaster), error, *map(Cell, figures[1:])))
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
         marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
         tables.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), marked))
@@ -352,28 +371,30 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
     decimals = plant.output.decimals
     moves = ("set-points", signals.output.unit) if closed else ("inputs", signals.input.unit)
 
-    def ends(one: Fan) -> Cell:
-        band = one.forecast.output
+    def ends(fan: Fan) -> Cell:
+        band = fan.forecast.output
         return Cell(span_text(float(band.low[-1]), float(band.high[-1]), decimals))
 
-    def share(one: Fan, signal: int) -> Cell:
-        inside = one.in_band[signal]
+    def share(fan: Fan, signal: int) -> Cell:
+        inside = fan.in_band[signal]
         return Cell(f"{percent(float(inside.mean()), 0)} %" if inside.size else "–")
 
-    def last(one: Fan) -> Cell:
-        return Cell(number(None if one.measured is None else one.measured.output[-1], decimals))
+    def last(fan: Fan) -> Cell:
+        return Cell(number(None if fan.measured is None else fan.measured.output[-1], decimals))
 
-    def error(one: Fan) -> Cell:
-        return Cell(number(root_mean_square([one.error]), decimals + 1))
+    def error(fan: Fan) -> Cell:
+        return Cell(number(root_mean_square([fan.error]), decimals + 1))
 
     unit = signals.output.unit
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
-        ("made at / s", lambda one: _head(number(one.forecast.sample * one.past.period, 0))),
-        ("by", lambda one: _words(one.forecast.candidate)),
-        (with_unit(*moves), lambda one: _words(levels_words(one.forecast))),
-        *((with_unit("forecast at its end", unit), ends), (with_unit("measured", unit), last)),
+        ("made at / s", lambda fan: _head(number(fan.forecast.sample * fan.past.period, 0))),
+        ("by", lambda fan: _words(fan.forecast.candidate)),
+        (with_unit(*moves), lambda fan: _words(levels_words(fan.forecast))),
+        (with_unit("forecast at its end", unit), ends),
+        (with_unit("measured", unit), last),
         (with_unit("RMS error", unit), error),
-        (f"{signals.output} within band", lambda one: share(one, 0)),
-        *([(f"{signals.input} within band", lambda one: share(one, 1))] if closed else []),
+        (f"{signals.output} within band", lambda fan: share(fan, 0)),
     ]
+    if closed:
+        shown.append((f"{signals.input} within band", lambda fan: share(fan, 1)))
     return _table("Forecasts of the leader, and the measurements", fans, shown)

@@ -27,9 +27,9 @@ def duration(seconds: float) -> str:
     whole = round(seconds)
     if whole < 60:
         return f"{seconds:.3g} s"
-    hours, rest = divmod(whole, 3600)
-    minutes, left = divmod(rest, 60)
-    parts = [(hours, "h"), (minutes, "min"), (left, "s")]
+    hours, seconds_in_hour = divmod(whole, 3600)
+    minutes, rest_seconds = divmod(seconds_in_hour, 60)
+    parts = [(hours, "h"), (minutes, "min"), (rest_seconds, "s")]
     return " ".join(f"{value} {unit}" for value, unit in parts if value)
 
 
@@ -40,28 +40,24 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     outputs = shown_outputs(settings.plant)
     inputs = shown_inputs(settings.plant)
     closed = settings.law is not None
-    of = [f" of {y}" for y in outputs] if outputs[1:] else [""]
-    limits = [
-        " to ".join(number(edge, u.decimals) for edge in drive.limits)
-        for u, drive in zip(inputs, settings.plant.drives.values(), strict=True)
-    ]
-    asked = [
-        (f"set-point{of[k]}", y.text(*_ends(s.references[k] for s in samples)))
-        for k, y in enumerate(outputs[: len(samples[0].references)])
-    ]
+    of_output = [f" of {y}" for y in outputs] if outputs[1:] else [""]
     facts = [
         ("samples", f"{len(samples)}, one every {settings.period:g} s"),
         ("duration", _duration(judgement)),
-        *(asked if closed else []),
-        *((y.name, y.text(*_ends(s.outputs[k] for s in samples))) for k, y in enumerate(outputs)),
-        *(
-            (u.name, f"{u.text(*_ends(s.inputs[k] for s in samples))} (limits {limits[k]})")
-            for k, u in enumerate(inputs)
-        ),
-        ("set-point steps" if closed else "control steps", _steps(samples, settings)),
-        ("matches", _matches(judgement)),
-        ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
     ]
+    if closed:
+        for k, y in enumerate(outputs[: len(samples[0].references)]):
+            facts.append((f"set-point{of_output[k]}", y.text(*_ends(s.references[k] for s in samples))))
+    for k, y in enumerate(outputs):
+        facts.append((y.name, y.text(*_ends(s.outputs[k] for s in samples))))
+    for k, (u, drive) in enumerate(zip(inputs, settings.plant.drives.values(), strict=True)):
+        reached = u.text(*_ends(s.inputs[k] for s in samples))
+        limits = " to ".join(number(edge, u.decimals) for edge in drive.limits)
+        facts.append((u.name, f"{reached} (limits {limits})"))
+    facts.append(("set-point steps" if closed else "control steps", _steps(samples, settings)))
+    facts.append(("matches", _matches(judgement)))
+    identified = judgement.summary.identified
+    facts.append(("verdicts", f"{len(judgement.verdicts)}, of which {identified} identified models"))
     shown = shown_twin(judgement.verdicts[-1] if judgement.verdicts else None)
     if shown is not None:
         facts += _fit_facts(judgement, shown)
@@ -69,8 +65,8 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
 
 
 def _ends(values: Iterable[float]) -> tuple[float, float]:
-    known = list(values)
-    return min(known), max(known)
+    finite_values = list(values)
+    return min(finite_values), max(finite_values)
 
 
 def _duration(judgement: Judgement) -> str:
@@ -151,13 +147,13 @@ def _nothing(judgement: Judgement) -> str:
 
 def _leader(last: Verdict, shown: ShownTwin) -> str:
     count = len(last.forecasts)
-    what = f"structure “{shown.name}”" if shown.is_structure else f"twin “{shown.name}”"
-    what = f"match at {shown.name}" if shown.is_match else what
+    description = f"structure “{shown.name}”" if shown.is_structure else f"twin “{shown.name}”"
+    description = f"match at {shown.name}" if shown.is_match else description
     why = ", the only one with forecasts"
     if count > 1:
         why = f": among {count} twins its forecasts have saved the most characters compared with assuming "
         why += "that nothing changes"
-    return f"The twin to ask what comes next, the leader, is the {what}{why}."
+    return f"The twin to ask what comes next, the leader, is the {description}{why}."
 
 
 def _choice(last: Verdict, nominal: CandidateScore) -> str:
@@ -179,16 +175,16 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
 def _fit(judgement: Judgement, shown: ShownTwin) -> str:
     outputs, inputs, _ = _fitted(judgement, shown)
     closed = judgement.settings.law is not None
-    by = "only by the set-points" if closed else "by the recorded control"
+    driving = "only by the set-points" if closed else "by the recorded control"
     scale = "100 % is perfect, 0 % no better than a constant; "
-    each = [
-        f"{y} {'over the whole session ' * (not k)}to {fit} % ({scale * (not k)}{y.text(off, finer=1)} RMS)"
-        for k, (y, fit, off) in enumerate(outputs)
+    fits = [
+        f"{y} {'over the whole session ' * (not k)}to {fit} % ({scale * (not k)}{y.text(error, finer=1)} RMS)"
+        for k, (y, fit, error) in enumerate(outputs)
     ]
-    each += [f"the {u} to {fit} % ({u.text(off, finer=1)} RMS)" for u, fit, off in inputs]
+    fits += [f"the {u} to {fit} % ({u.text(error, finer=1)} RMS)" for u, fit, error in inputs]
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        f"Driven {by}, {shown.name} follows the measured {number_list(each)}"
+        f"Driven {driving}, {shown.name} follows the measured {number_list(fits)}"
         f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
@@ -198,12 +194,12 @@ def _trust(judgement: Judgement) -> str:
     if s.range is None:
         output = shown_outputs(judgement.settings.plant)[0]
         return f"There is no range of the {output} in which its forecasts have held."
-    held = f"Its forecasts have held {s.range}"
+    proven = f"Its forecasts have held {s.range}"
     but = f", but {s.doubts}" if s.doubts else ""
     if s.level is TrustLevel.TRUSTED:
-        return f"{held}, and at the end of the session the twin can be trusted there{but}."
+        return f"{proven}, and at the end of the session the twin can be trusted there{but}."
     doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
-    return f"{held}, but at the end of the session the twin is {doubt}: {s.why}."
+    return f"{proven}, but at the end of the session the twin is {doubt}: {s.why}."
 
 
 def _health(judgement: Judgement) -> str:
@@ -211,12 +207,13 @@ def _health(judgement: Judgement) -> str:
     stretches = judgement.summary.stretches
     faulty = [s for s in stretches if s.fault or s.level is TrustLevel.FAULT]
     doubtful = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
-    faults, doubts = (", ".join(f"t = {s.times(period)}" for s in those) for those in (faulty, doubtful))
+    faults = ", ".join(f"t = {stretch.times(period)}" for stretch in faulty)
+    doubts = ", ".join(f"t = {stretch.times(period)}" for stretch in doubtful)
     if faults:
         named = sorted({v.named_fault for v in judgement.verdicts} - {""})
-        what = f" ({', '.join(named)})" if named else ""
+        names = f" ({', '.join(named)})" if named else ""
         todo = "Look at the plant (drive, sensor, cables) before anything else."
-        return f"The plant had a fault{what}: {faults}. {todo}"
+        return f"The plant had a fault{names}: {faults}. {todo}"
     if doubts:
         return f"No fault was found; the twin was doubtful: {doubts}."
     return "No fault was found: plant and twin never differed by more than is normal for a healthy plant."
@@ -230,12 +227,12 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     trusted = ("trusted", str(s.range) if s.range else "–")
     closed = judgement.settings.law is not None
     facts = [
-        (f"{loop if closed else open_loop}{y}", f"fit {fit} %, {y.text(off, finer=2)} RMS")
-        for y, fit, off in outputs
+        (f"{loop if closed else open_loop}{y}", f"fit {fit} %, {y.text(error, finer=2)} RMS")
+        for y, fit, error in outputs
     ]
-    facts += [(f"{loop}{u}", f"fit {fit} %, {u.text(off, finer=1)} RMS") for u, fit, off in inputs]
+    facts += [(f"{loop}{u}", f"fit {fit} %, {u.text(error, finer=1)} RMS") for u, fit, error in inputs]
     if closed:
-        facts += [(f"{open_loop}{y}", f"{y.text(off, finer=1)} RMS") for y, _, off in driven]
+        facts += [(f"{open_loop}{y}", f"{y.text(error, finer=1)} RMS") for y, _, error in driven]
     return [*facts, trusted]
 
 
