@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -103,8 +104,8 @@ def test_nonsense_on_the_feed_is_reported_and_skipped(
     path = tmp_path / "plate.sock"
     source = EmulatedSource(feed=path, settings=LeptonSettings(rate=200.0))
     source.open()
-    with PlateFeed(path) as feed:
-        feed._socket.sendto(b"warm", str(path))
+    with PlateFeed(path) as feed, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"warm", str(path))
         assert source.read(0.1) is None
         assert "b'warm' is not a temperature" in caplog.text
         feed.send(33.0)

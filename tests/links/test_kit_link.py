@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from tests.support.kits import BenchKit
+from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.links.kit_keeper import open_kit
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilentError, require_port
@@ -40,10 +41,11 @@ def off(kit: BenchKit) -> None:
     wait_for(lambda: kit.heaters == [0.0, 0.0], "both heaters off")
 
 
-def keeper(link: KitLink) -> int:
+def keeper(kit: BenchKit) -> int:
     """Process id of who holds the port."""
-    assert link._process is not None
-    return link._process.pid
+    words = {child: Path(f"/proc/{child}/cmdline").read_text() for child in Process.children_of(os.getpid())}
+    (holding,) = (child for child, line in words.items() if "kit_keeper" in line and kit.port in line)
+    return holding
 
 
 def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebody_commands(
@@ -90,7 +92,7 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     kit: BenchKit, link: KitLink
 ) -> None:
     link.drive(80.0, 60.0)
-    os.kill(keeper(link), signal.SIGKILL)
+    os.kill(keeper(kit), signal.SIGKILL)
     with pytest.raises(KitError, match="process that holds its port"):
         link.drive(80.0, 60.0)
     link.close()
@@ -98,7 +100,7 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     link.open()
     assert kit.heaters == [0.0, 0.0]
     link.drive(80.0, 60.0)
-    os.kill(keeper(link), signal.SIGTERM)
+    os.kill(keeper(kit), signal.SIGTERM)
     off(kit)
 
 

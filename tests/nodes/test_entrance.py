@@ -41,6 +41,7 @@ from twinmatch.nodes.entrance import ALONE, MAX_KINDS, MAX_NAMES, MAX_REASONS, C
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
+from twinmatch.nodes.past import PAST
 from twinmatch.nodes.topics import EVERYTHING, NEWEST
 from twinmatch.nodes.twin import MAX_WAITING
 from twinmatch.plants import Peltier
@@ -52,6 +53,7 @@ from twinmatch.showing.terminal import Screen
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchReport, MatchRequest, carry_out
 from twinmatch_msgs import msg as messages
+from twinmatch_msgs.srv import Past
 
 pytestmark = pytest.mark.ros
 
@@ -650,7 +652,11 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
     listener.spin_until(refused, "the refusal")
     if late:
         keeper = next(node for node in reader.nodes if node.NAME == "keeper")
-        listener.spin_until(lambda: all(map(len, keeper._store.messages.values())), "the keeper")
+
+        def kept(topic: str) -> int:
+            return int(keeper.health.report().values.get(topic, "0"))
+
+        listener.spin_until(lambda: kept("twin/match") and kept("twin/model_score"), "the keeper")
         before = listener.samples.get_subscription_count()
         start("recorder", *arguments)
         listener.spin_until(lambda: listener.samples.get_subscription_count() > before, "the recorder")
@@ -674,13 +680,20 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
         scores.publish(message_of(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
     key = "twin/model_score: more than samples"
     listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
-    assert len(keeper._store.messages[messages.ModelScore]) == 100
+    assert keeper.report().values["twin/model_score"] == "100"
 
 
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.nodes.samples.MAX_QUEUED", -1)
+    requests: list[Past.Request] = []
+
+    def answer(request: Past.Request, nothing: Past.Response) -> Past.Response:
+        requests.append(request)
+        return nothing
+
+    listener.node.create_service(Past, PAST, answer)
     (node,) = start("twin_simulator").nodes
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])
@@ -689,5 +702,5 @@ def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     )
     monkeypatch.undo()
     listener.send(steps[30:31])
-    listener.spin_until(lambda: node._stream.missing, "the wish for the others")
-    assert node._stream.missing == range(30)
+    listener.spin_until(lambda: requests, "the wish for the others")
+    assert (requests[0].first, requests[0].count) == (0, 30)

@@ -183,7 +183,8 @@ def test_no_message_is_written_twice_or_lost_wherever_fetched_and_live_ones_over
         copies.add("verdicts", message)
     live = [message for message in stream[begin:] if not copies.found("verdicts", lambda m=message: m)]
     assert stream[:fetched] + live == stream
-    assert fetched == messages or not copies._fetched
+    if fetched < messages:  # after the first new one, nothing is compared
+        assert not copies.found("verdicts", lambda: pytest.fail("its values are not wanted"))
     assert not copies.found("matches", lambda: "0")
 
 

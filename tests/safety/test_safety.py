@@ -208,10 +208,12 @@ def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if
 def test_every_reading_of_a_real_hour_is_believed(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
-    guard = OutputGuard()
+    """If one were not, the one before it would be too old when the command passes."""
+    guard = OutputGuard(GuardLimits(temperature_timeout=1.5))
     for k, temperature in enumerate(recorded_hour(number).output):
         guard.temperature(float(temperature), float(k))
-        assert not guard._doubted
+        guard.command(1.0, k + 0.9)
+        assert guard.output(k + 0.9) == 1.0
 
 
 events = st.one_of(
