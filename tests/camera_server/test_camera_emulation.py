@@ -148,7 +148,7 @@ def test_an_impossible_temperature_and_time_that_goes_back() -> None:
         ({"flat_field_period": 2.0}, "has no room for a warning"),
     ],
 )
-def test_settings_that_cannot_be(change: dict[str, Any], message: str) -> None:
+def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(LeptonError, match=message):
         LeptonSettings(**change)
 
@@ -209,7 +209,7 @@ def test_a_file_is_not_replaced_and_a_folder_has_to_be_there(path: Path) -> None
 
 
 @pytest.mark.parametrize("sent", [b"warm", b"", b"nan", b"1e9"])
-def test_what_is_not_a_temperature(path: Path, sent: bytes) -> None:
+def test_what_is_not_a_temperature_is_refused_by_receiver_and_sender(path: Path, sent: bytes) -> None:
     receiver = PlateReceiver(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(sent, str(path))

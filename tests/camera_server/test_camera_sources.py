@@ -355,7 +355,7 @@ def with_linuxpy(monkeypatch: pytest.MonkeyPatch, linuxpy: FakeLinuxpy) -> V4l2S
     return V4l2Source("/dev/video9", size=(4, 2))
 
 
-def test_what_is_asked_of_linuxpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_linuxpy_is_asked_to_open_stream_and_close_once(monkeypatch: pytest.MonkeyPatch) -> None:
     linuxpy = FakeLinuxpy()
     source = with_linuxpy(monkeypatch, linuxpy)
     source.open()

@@ -121,7 +121,7 @@ def said() -> str:
     return "\n".join(" ".join(text.split()) for path in SOURCES for text in prose(path))
 
 
-def test_there_are_quotations() -> None:
+def test_the_page_quotes_many_messages() -> None:
     assert len(QUOTED) > 80
 
 

@@ -104,7 +104,7 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     off(kit)
 
 
-def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
+def test_a_pulled_cable_is_an_error_and_a_returned_one_can_be_opened(kit: BenchKit, link: KitLink) -> None:
     link.drive(80.0, 60.0)
     kit.unplug()
     with pytest.raises(KitError):

@@ -339,7 +339,7 @@ def test_reopening_waits_longer_each_time_up_to_a_limit(monkeypatch: pytest.Monk
     assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
 
 
-def test_impossible_settings() -> None:
+def test_impossible_settings_are_refused() -> None:
     for timeout in (0.0, math.nan):
         with pytest.raises(PwmRangeError, match=f"timeout is {timeout} s"):
             LinkSettings(timeout=timeout)

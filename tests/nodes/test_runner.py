@@ -198,7 +198,9 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Start) -> 
         ),
     ],
 )
-def test_wrong_command_line(capfd: pytest.CaptureFixture[str], words: list[str], line: str) -> None:
+def test_a_wrong_command_line_is_one_line_and_exit_code_two(
+    capfd: pytest.CaptureFixture[str], words: list[str], line: str
+) -> None:
     assert run_here(*words) == 2
     printed = capfd.readouterr().err
     assert printed.splitlines()[-1].startswith(line)

@@ -112,7 +112,7 @@ def test_the_method_says_how_to_read_every_field(name: str) -> None:
     assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
 
 
-def test_there_and_back() -> None:
+def test_records_survive_their_trees() -> None:
     assert repr(object_of(Verdict, tree_of(VERDICT))) == repr(VERDICT)
     read_back = object_of(MatchReport, tree_of(report()))
     assert repr(read_back) == repr(report())

@@ -358,7 +358,7 @@ def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
     ],
     ids=["a reading that is not believed", "one far from the estimate", "under a limit"],
 )
-def test_nothing_is_learned_from(change: Callable[[Ceiling], None]) -> None:
+def test_nothing_is_learned_from_readings_that_may_be_false(change: Callable[[Ceiling], None]) -> None:
     ceiling = Ceiling(12.5, np.full(1, 0.1), seen=True)
     change(ceiling)
     ceiling.take(np.array([40.0]), 60.0, 60.0, 60.0, learns=False)

@@ -89,7 +89,7 @@ def test_the_first_fault_is_the_one_reported() -> None:
     assert "above 110 °C" in guard.fault.message
 
 
-def test_runaway_latches() -> None:
+def test_full_drive_without_an_effect_latches() -> None:
     guard = armed()
     for k in range(200):
         time = k * 0.5

@@ -462,7 +462,9 @@ def test_a_gap_in_time_is_a_gap_in_the_numbers(before: int, gap: int, phase: flo
         ([0.0, 1.0, 0.9, 2.0], [0, 1, None, 2]),  # a message a little before the last is not a tick
     ],
 )
-def test_numbers_by_hand(times: list[float], found: list[int | None]) -> None:
+def test_ticks_are_numbered_through_bursts_set_back_clocks_and_early_messages(
+    times: list[float], found: list[int | None]
+) -> None:
     assert numbers(np.array(times)) == found
 
 

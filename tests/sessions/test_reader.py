@@ -43,7 +43,7 @@ def test_a_folder_and_its_file_hold_the_same(tmp_path):
     assert (by_folder.path, by_file.path) == (folder, folder / "night_0.mcap")
 
 
-def test_duration_period_and_window(tmp_path):
+def test_a_session_knows_its_duration_its_period_and_its_window(tmp_path):
     session = read_session(write_session(tmp_path / "fast", run(31, first=5, step=100_000_000)))
     assert session.duration == 3.0
     assert session.period == 0.1

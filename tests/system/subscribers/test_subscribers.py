@@ -189,7 +189,7 @@ def test_two_variables_keep_a_stranger_in(played: Played) -> None:
     assert played.elsewhere["no settings"], "without them it listens on the network: the page says so"
 
 
-def test_shell_lines_are_of_those(stranger: dict[str, str]) -> None:
+def test_shell_lines_set_the_variables_of_the_page_and_one_profile(stranger: dict[str, str]) -> None:
     """And the place of the wheels, for tools that look for packages."""
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
     completed = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
@@ -287,7 +287,7 @@ def table_of_topics() -> dict[str, tuple[str, str, bool]]:
     return {name if name.startswith("/") else f"/{name}": row for name, row in rows}
 
 
-def test_table_of_topics(played: Played) -> None:
+def test_the_page_names_type_and_quality_of_service_of_every_topic(played: Played) -> None:
     table = table_of_topics()
     topics = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
     for name, (kind, reliability, durability) in topics.items():
@@ -298,7 +298,9 @@ def test_table_of_topics(played: Played) -> None:
         assert hasattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def test_open_network(programs: Any, page: Path, session: Path, project: Path) -> None:
+def test_only_an_opened_network_has_sockets_that_other_machines_reach(
+    programs: Any, page: Path, session: Path, project: Path
+) -> None:
     """The page's words for it, with the player instead of the whole graph."""
     export, command = blocks("sh")[2].splitlines()
     assert command == "python launch_scripts/replay.py bags/four_setpoints"
