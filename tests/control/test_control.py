@@ -16,10 +16,10 @@ from twinmatch.dynamics import Controller, PidState
 from twinmatch.plants import Peltier, TCLab, TCLabBoth
 
 
-def made(levels, holds, **rest):
+def made(levels, holds, **options):
     """A profile within what the rig can bear."""
     low, high = Peltier.output.safe
-    return Profile(levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | rest)
+    return Profile(levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | options)
 
 
 STAIRS = made((30.0, 50.0, 40.0), (10.0, 20.0, 30.0))
@@ -394,9 +394,9 @@ def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading()
     assert max(abs(a.inputs[0] - b.inputs[0]) for a, b in steps) <= 2.0 * growth
 
 
-@pytest.mark.parametrize("taken", [(40.0,), (math.inf, 30.0), (40.0, -math.inf)])
-def test_what_stands_in_has_a_number_for_each_output(taken):
+@pytest.mark.parametrize("replacement", [(40.0,), (math.inf, 30.0), (40.0, -math.inf)])
+def test_what_stands_in_has_a_number_for_each_output(replacement):
     loop = Loop(TCLabBoth)
-    loop.measure((40.0, 30.0), 0, taken=taken)
+    loop.measure((40.0, 30.0), 0, taken=replacement)
     assert loop.refused == 1
     assert loop.tick(0, lambda _: (42.0, 33.0)) is None

@@ -314,9 +314,9 @@ def test_a_thousand_set_points_in_order(wire: Wire) -> None:
         assert wire.status(f"P {n + 2} {pwm}").applied == pwm
 
 
-def allowed(payload: str, now: int) -> set[int]:
+def allowed(payload: str, applied: int) -> set[int]:
     """What the output may be after a damaged copy of `payload`: as it was, or as the sound copy makes it."""
-    return {now, int(payload.split()[2]) if payload.startswith("P") else 0}
+    return {applied, int(payload.split()[2]) if payload.startswith("P") else 0}
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire: Wire) -> None:

@@ -155,11 +155,11 @@ def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
     return live, run, processes
 
 
-@pytest.mark.parametrize(("speed", "own"), [(1.0, False), (0.5, True), (20.0, True)])
-def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, own: bool) -> None:
+@pytest.mark.parametrize(("speed", "has_own_clock"), [(1.0, False), (0.5, True), (20.0, True)])
+def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, has_own_clock: bool) -> None:
     plan = LivePlan(Path("rig.yaml"), virtual=VirtualPlan(speed=speed))
     for arguments in (plan.twin_arguments(), plan.recorder_arguments(Path("run")), plan.rig_arguments({})):
-        assert ("use_sim_time:=true" in arguments) is own
+        assert ("use_sim_time:=true" in arguments) is has_own_clock
 
 
 @pytest.mark.parametrize(

@@ -151,9 +151,9 @@ def test_a_wrong_request_is_refused_with_its_number_and_a_code(payload: bytes, a
     assert parse_request(payload) == answer
 
 
-@pytest.mark.parametrize("rest", [b"", b" 7", b" a b c d e"])
-def test_the_banner_of_another_protocol_still_names_it(rest: bytes) -> None:
-    assert parse_reply(b"B 5 9.1 2" + rest) == Banner(5, "9.1", 2, 0, 0, 0)
+@pytest.mark.parametrize("more_fields", [b"", b" 7", b" a b c d e"])
+def test_the_banner_of_another_protocol_still_names_it(more_fields: bytes) -> None:
+    assert parse_reply(b"B 5 9.1 2" + more_fields) == Banner(5, "9.1", 2, 0, 0, 0)
 
 
 REPLY = (

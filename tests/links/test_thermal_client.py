@@ -423,7 +423,7 @@ def test_an_invalid_rectangle_is_refused(box: tuple[int, int, int, int]) -> None
 
 
 @pytest.mark.parametrize(
-    ("taken", "roi", "message"),
+    ("image", "roi", "message"),
     [
         (exposure(np.ones((6, 8))), Region(5, 0, 2, 1), "leave the image of 6 by 8"),
         (exposure(np.ones((6, 8))), Region(0, 7, 1, 2), "leave the image of 6 by 8"),
@@ -433,7 +433,7 @@ def test_an_invalid_rectangle_is_refused(box: tuple[int, int, int, int]) -> None
     ],
 )
 def test_a_region_without_temperatures_is_an_error_that_says_why(
-    taken: Exposure, roi: Region | None, message: str
+    image: Exposure, roi: Region | None, message: str
 ) -> None:
     with pytest.raises(RegionError, match=message):
-        region(taken, roi)
+        region(image, roi)

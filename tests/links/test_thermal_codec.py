@@ -55,10 +55,10 @@ def make_frame(shape: tuple[int, int] = LEPTON_SHAPE, **changes: Any) -> Thermal
     return ThermalFrame(**{**values, **changes})
 
 
-def same(one: ThermalFrame, other: ThermalFrame) -> bool:
-    names = [field.name for field in dataclasses.fields(one) if field.name != "image"]
-    return np.array_equal(one.image, other.image) and all(
-        getattr(one, name) == getattr(other, name) for name in names
+def same(first: ThermalFrame, second: ThermalFrame) -> bool:
+    names = [field.name for field in dataclasses.fields(first) if field.name != "image"]
+    return np.array_equal(first.image, second.image) and all(
+        getattr(first, name) == getattr(second, name) for name in names
     )
 
 

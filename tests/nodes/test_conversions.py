@@ -99,11 +99,11 @@ def there_and_back(message: Any) -> Any:
     return deserialize_message(serialize_message(message), type(message))
 
 
-def same(found: Any, expected: Any) -> None:
+def same(converted: Any, expected: Any) -> None:
     """Equal field by field, arrays by value and shape, NaN equal to NaN."""
-    assert type(found) is type(expected)
+    assert type(converted) is type(expected)
     for field in dataclasses.fields(expected):
-        value = getattr(found, field.name)
+        value = getattr(converted, field.name)
         wanted = getattr(expected, field.name)
         if isinstance(wanted, np.ndarray):
             np.testing.assert_array_equal(value, wanted, strict=True)
@@ -261,7 +261,7 @@ def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(state: Mirr
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message_part"),
     [
         ({"plant": "fridge"}, "plant 'fridge': not known; choose from peltier"),
         (
@@ -273,11 +273,11 @@ def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(state: Mirr
         ({"plant": "", "names": [], "values": []}, "the message holds none"),
     ],
 )
-def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], said: str) -> None:
+def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], message_part: str) -> None:
     message = parameters_message(Peltier.model().parameters())
     for name, value in spoil.items():
         setattr(message, name, value)
-    with pytest.raises(PlantError, match=said):
+    with pytest.raises(PlantError, match=message_part):
         parameters_from(message)
 
 

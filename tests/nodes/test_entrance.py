@@ -233,8 +233,8 @@ class ClockCourse(Course):
         self.now = 1000.0
         self._several = False
 
-    def meet(self, *there: bytes) -> None:
-        self.others.there = frozenset(there)
+    def meet(self, *publishers: bytes) -> None:
+        self.others.there = frozenset(publishers)
         self._several = True
 
     def seen(self) -> bool:

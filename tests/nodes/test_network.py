@@ -106,12 +106,12 @@ def test_without_a_home_no_logs_are_written(environment: dict[str, str]) -> None
     assert log_arguments(environment) == ["--ros-args", "--disable-external-lib-logs"]
 
 
-@pytest.mark.parametrize("given", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
-def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
-    environment = dict(given)
+@pytest.mark.parametrize("variables", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
+def test_a_place_for_logs_is_kept(variables: dict[str, str]) -> None:
+    environment = dict(variables)
     assert log_arguments(environment) == []
     prepare(environment)
-    assert environment.get("ROS_LOG_DIR") == given.get("ROS_LOG_DIR")
+    assert environment.get("ROS_LOG_DIR") == variables.get("ROS_LOG_DIR")
 
 
 @pytest.mark.parametrize(

@@ -118,22 +118,22 @@ NAMES = "sample", "match", "score"
 
 
 @given(
-    made=st.sets(st.integers(0, 29)).map(lambda found: found | {30}),
+    produced=st.sets(st.integers(0, 29)).map(lambda found: found | {30}),
     about=st.tuples(*[st.lists(st.integers(0, 29), max_size=20)] * 2),
     begin=st.integers(1, 30),
     live=st.tuples(*[st.integers(0, 20)] * 2),
     most=st.tuples(*[st.integers(1, 12)] * 2),
 )
 def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
-    made: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
+    produced: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
 ) -> None:
     """It never lacks a message about a sample before its last, whatever arrived live, and how late."""
     written: list[tuple[str, bytes]] = []
     past = RecorderPast(NAMES, lambda name, data, _: written.append((name, data)))
-    samples = [sample(index) for index in sorted(made)]
+    samples = [sample(index) for index in sorted(produced)]
     serialised = []
     for kind, indices_of_kind in zip(KINDS, about, strict=True):
-        sampled = sorted(set(indices_of_kind) & made)
+        sampled = sorted(set(indices_of_kind) & produced)
         messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
         serialised.append(list(map(serialize_message, messages)))
     with kept(*most) as store:

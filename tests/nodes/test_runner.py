@@ -237,11 +237,11 @@ REFUSED: tuple[tuple[str, str, str], ...] = (
 """Program, parameters, and what it says of them."""
 
 
-@pytest.mark.parametrize(("name", "given", "line"), REFUSED)
+@pytest.mark.parametrize(("name", "assignments", "line"), REFUSED)
 def test_parameters_that_are_refused_are_one_line_and_exit_code_two(
-    start: Start, session: Path, name: str, given: str, line: str
+    start: Start, session: Path, name: str, assignments: str, line: str
 ) -> None:
-    words = given.replace("SESSION", str(session)).split()
+    words = assignments.replace("SESSION", str(session)).split()
     process = start(name, *(word for parameter in words for word in ("-p", parameter)))
     assert process.wait() == 2
     assert line in process.text

@@ -50,16 +50,18 @@ class Beside:
     def rig(self, *options: str) -> Process:
         return self._processes.python(RIG, "--period", f"{PERIOD}", *options)
 
-    def sampler(self, **given: str) -> Inside:
+    def sampler(self, **parameters: str) -> Inside:
         words = [f"plant:={self._plant}", f"period:={PERIOD}"]
-        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in given]
-        words += [f"{name.replace('__', '.')}:={text}" for name, text in given.items() if name not in MAP]
-        words += [f"map.{name}:='{text}'" for name, text in given.items() if name in MAP and text]
+        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in parameters]
+        words += [
+            f"{name.replace('__', '.')}:={text}" for name, text in parameters.items() if name not in MAP
+        ]
+        words += [f"map.{name}:='{text}'" for name, text in parameters.items() if name in MAP and text]
         options = [option for word in words for option in ("-p", word)]
         return self._start("sampler", *options)
 
-    def wait_for_samples(self, more: int) -> None:
-        wanted = len(self.samples) + more
+    def wait_for_samples(self, count: int) -> None:
+        wanted = len(self.samples) + count
         self.listener.spin_until(lambda: len(self.samples) >= wanted, self.said)
 
     def wait_for_word(self, words: str) -> None:
@@ -219,9 +221,9 @@ BOTH = {
 """Two heaters and two sensors, by the names of the plant file and by their numbers."""
 
 
-def sampler_of_both(start: Any, folder: Path, **more: Any) -> Inside:
+def sampler_of_both(start: Any, folder: Path, **changed: Any) -> Inside:
     """Its parameters are in a file: ROS takes no name with a number on a command line."""
-    parameters = {"plant": "tclab-both", "period": PERIOD, **BOTH, **more}
+    parameters = {"plant": "tclab-both", "period": PERIOD, **BOTH, **changed}
     file = folder / "both.yaml"
     file.write_text(yaml.safe_dump({"sampler": {"ros__parameters": parameters}}))
     return start("sampler", "--params-file", f"{file}")

@@ -88,9 +88,9 @@ def test_package_xml_names_what_pyproject_needs() -> None:
 
 
 @pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
-@pytest.mark.parametrize(("release", "other"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
+@pytest.mark.parametrize(("release", "other_extra"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
 def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
-    release: str, other: str, version: str
+    release: str, other_extra: str, version: str
 ) -> None:
     """For every Python, and one that pyproject.toml agrees with."""
     environment = {
@@ -111,7 +111,7 @@ def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
     pinned = {canonicalize_name(requirement.name): requirement.specifier for requirement in asked(lines)}
     assert len(pinned) == len(asked(lines)), "one version of each"
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
-    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other}
+    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other_extra}
     wanted = asked([*project["build-system"]["requires"], *project["project"]["dependencies"], "uv"])
     wanted += [
         requirement

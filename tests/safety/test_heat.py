@@ -225,7 +225,7 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "message"),
+    ("parameters", "message"),
     [
         ("losses", "known has 'losses'; write it as losses = 11.3"),
         ("losses = a lot", "known has 'losses = a lot'"),
@@ -234,9 +234,9 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
         ("losses = 11, heating = 5", "heating = 5; allowed: 0.001 to 0.05"),
     ],
 )
-def test_what_is_known_of_a_plant_is_checked(known: str, message: str) -> None:
+def test_what_is_known_of_a_plant_is_checked(parameters: str, message: str) -> None:
     with pytest.raises(SafetyError, match=message):
-        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=known)))
+        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=parameters)))
 
 
 def test_of_a_known_kit_each_heater_has_its_power() -> None:

@@ -293,12 +293,12 @@ def test_a_healthy_loop_raises_nothing_in_both_directions() -> None:
     assert first_alarm(both_ways, lambda _, u: u) == 900
 
 
-@pytest.mark.parametrize(("at", "within"), [(20, 90), (320, 90)])
-def test_a_lost_drive_is_found_while_heating_and_while_cooling(at: int, within: int) -> None:
-    alarm = first_alarm(both_ways, lambda k, u: u if k < at else 0.0)
+@pytest.mark.parametrize(("onset", "within"), [(20, 90), (320, 90)])
+def test_a_lost_drive_is_found_while_heating_and_while_cooling(onset: int, within: int) -> None:
+    alarm = first_alarm(both_ways, lambda k, u: u if k < onset else 0.0)
     # While cooling towards 25 °C a plate without drive still cools by itself; the alarm may only come
     # with the next heating.
-    assert at < alarm < (at + within if at < 300 else 600 + within)
+    assert onset < alarm < (onset + within if onset < 300 else 600 + within)
 
 
 def test_a_reversed_cable_is_found_at_once() -> None:

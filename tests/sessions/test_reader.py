@@ -254,12 +254,12 @@ COUNT = 60
 SAMPLES = [Sample(k, k * 10**9, 30.0, 25.0 + k / 8, float(k)) for k in range(COUNT)]
 
 
-def flushed_file(folder: Path, every: int = 20) -> bytes:
+def flushed_file(folder: Path, messages_per_chunk: int = 20) -> bytes:
     with SessionWriter(folder) as writer:
         writer.add_topic(SAMPLE)
         for sample in SAMPLES:
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
-            if sample.index % every == every - 1:
+            if sample.index % messages_per_chunk == messages_per_chunk - 1:
                 writer.flush()
     return (folder / f"{folder.name}_0.mcap").read_bytes()
 
