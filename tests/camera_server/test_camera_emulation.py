@@ -29,7 +29,7 @@ def film(camera: EmulatedLepton, plate: float, seconds: float, rate: float = 9.0
     return [camera.expose(plate, tick / rate, tick) for tick in range(round(seconds * rate))]
 
 
-def seen(exposures: list[Exposure]) -> list[Exposure]:
+def not_frozen(exposures: list[Exposure]) -> list[Exposure]:
     return [e for e in exposures if not e.frozen]
 
 
@@ -65,7 +65,7 @@ def test_the_plate_is_warmest_in_its_middle() -> None:
 
 def test_noise_has_the_deviations_asked_for() -> None:
     settings = LeptonSettings(pixel_noise=0.05, common_noise=0.08, drift=0.0, gradient=0.0)
-    stack = np.array([celsius(e) for e in seen(film(EmulatedLepton(settings, seed=3), 40.0, 60))])
+    stack = np.array([celsius(e) for e in not_frozen(film(EmulatedLepton(settings, seed=3), 40.0, 60))])
     means = stack.mean(axis=(1, 2))
     n = means.size
     # Four standard errors of a deviation estimated from n values.

@@ -128,13 +128,13 @@ def test_noise_gives_no_frame(data: bytes) -> None:
 # --- telemetry -----------------------------------------------------------------------------------
 
 
-def told(**words: int) -> Exposure:
+def telemetry_of(**words: int) -> Exposure:
     """What telemetry makes of an image."""
     return exposure(np.ones((60, 80), np.uint16), telemetry_rows(**words), 7)
 
 
 def test_telemetry_words_become_the_fields_of_an_exposure() -> None:
-    telemetry = told(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
+    telemetry = telemetry_of(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
     assert (telemetry.frame_counter, telemetry.sensor_temperature, telemetry.stamp) == (70_000, 30_315, 7)
     assert telemetry.flat_field is FlatField.COMPLETE
     assert telemetry.flat_field_age == 65_536 + 4000
@@ -144,7 +144,7 @@ def test_telemetry_words_become_the_fields_of_an_exposure() -> None:
 
 @pytest.mark.parametrize("state", list(FlatField))
 def test_each_flat_field_state_is_read_and_has_an_age_unless_it_is_never(state: FlatField) -> None:
-    telemetry = told(status=state << 4)
+    telemetry = telemetry_of(status=state << 4)
     assert telemetry.flat_field is state
     assert (telemetry.flat_field_age is None) == (state is FlatField.NEVER)
 
@@ -159,11 +159,11 @@ def test_each_flat_field_state_is_read_and_has_an_age_unless_it_is_never(state: 
     ],
 )
 def test_each_status_bit_has_its_flag(bit: int, flag: FrameFlags) -> None:
-    assert told(status=1 << bit).flags is flag
+    assert telemetry_of(status=1 << bit).flags is flag
 
 
 def test_counts_that_are_not_temperatures_are_flagged() -> None:
-    telemetry = told(c48=0, c49=0)
+    telemetry = telemetry_of(c48=0, c49=0)
     assert telemetry.flags is FrameFlags.NOT_RADIOMETRIC
     assert telemetry.resolution == 0.1
     assert not telemetry.radiometric

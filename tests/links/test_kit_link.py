@@ -37,7 +37,7 @@ def link(kit: BenchKit) -> Iterator[KitLink]:
     opened.close()
 
 
-def off(kit: BenchKit) -> None:
+def wait_for_both_off(kit: BenchKit) -> None:
     wait_for(lambda: kit.heaters == [0.0, 0.0], "both heaters off")
 
 
@@ -63,14 +63,14 @@ def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebod
     assert link._process is not None
     assert link._process.stdin is not None
     link._process.stdin.close()
-    off(kit)
+    wait_for_both_off(kit)
 
 
 def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
     link = KitLink(kit.port, deadline=0.6)
     link.open()
     link.drive(50.0, 50.0)
-    off(kit)
+    wait_for_both_off(kit)
     with pytest.raises(KitSilentError, match=r"received no command for 0\.6 s"):
         link.drive(50.0, 0.0)
     assert link.drive(0.0, 0.0)[2] == 0.0
@@ -84,7 +84,7 @@ def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> No
     link.drive(50.0, 30.0)
     with pytest.raises(KitError, match="it must be within 0 to 100 %"):
         link.drive(50.0, math.nan)
-    off(kit)
+    wait_for_both_off(kit)
     assert kit.highest == 50.0
 
 
@@ -101,7 +101,7 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     assert kit.heaters == [0.0, 0.0]
     link.drive(80.0, 60.0)
     os.kill(keeper(kit), signal.SIGTERM)
-    off(kit)
+    wait_for_both_off(kit)
 
 
 def test_a_pulled_cable_is_an_error_and_a_returned_one_can_be_opened(kit: BenchKit, link: KitLink) -> None:
@@ -138,7 +138,7 @@ def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink
     kit.shown[2] = math.nan
     with pytest.raises(KitError, match="T2 reads nan"):
         link.drive(40.0, 30.0)
-    off(kit)
+    wait_for_both_off(kit)
 
 
 def test_a_kit_that_says_nothing_is_given_up(kit: BenchKit, link: KitLink) -> None:

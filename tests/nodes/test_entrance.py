@@ -157,7 +157,7 @@ def test_a_message_of_default_values_is_refused(kind: Any) -> None:
         check(kind())
 
 
-def at(index: int, seconds: float = 0.0) -> messages.LoopSample:
+def sample_at(index: int, seconds: float = 0.0) -> messages.LoopSample:
     return sample_message(Sample(index, round(seconds * 1e9), 0.0, 0.0, 0.0))
 
 
@@ -176,7 +176,7 @@ def passed(course: Course, *indices: int) -> list[int]:
     followed = []
     for index in indices:
         try:
-            course.follow(at(index, index), time.monotonic())
+            course.follow(sample_at(index, index), time.monotonic())
         except MessageError:
             continue
         followed.append(index)
@@ -200,7 +200,7 @@ def test_samples_that_go_back_are_refused(course: Course) -> None:
 def test_an_index_does_not_run_ahead_of_its_stamp(course: Course) -> None:
     assert passed(course, 0, 1) == [0, 1]
     with pytest.raises(MessageError, match="sample 1000000 came 1 s after sample 1"):
-        course.follow(at(1_000_000, 2.0), time.monotonic())
+        course.follow(sample_at(1_000_000, 2.0), time.monotonic())
     assert passed(course, 2) == [2]
 
 

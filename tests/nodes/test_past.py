@@ -27,7 +27,7 @@ def sample(index: int) -> Sample:
 
 
 @contextmanager
-def kept(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
+def limited_store(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
     """A store that gives so many at a time."""
     with pytest.MonkeyPatch.context() as patch, closing(RunStore()) as store:
         patch.setattr(keeper, "MAX_SAMPLES", samples)
@@ -64,7 +64,7 @@ def test_every_sample_comes_once_and_in_order(ticks: list[tuple[int, bool, int]]
     out: list[int] = []
     produced: list[int] = []
     stream = Stream(lambda s: out.append(s.index))
-    with kept(most) as store:
+    with limited_store(most) as store:
         for step, arrives, answers in [*ticks, (1, True, 0)]:
             produced.append(produced[-1] + step if produced else step - 1)
             store.samples.push(sample(produced[-1]))
@@ -82,7 +82,7 @@ def test_a_keeper_that_lags_is_asked_again() -> None:
     stream = Stream(lambda s: out.append(s.index))
     stream.push(sample(2))
     assert stream.missing == range(2)
-    with kept() as store:
+    with limited_store() as store:
         assert not answered(stream, store)  # it has received nothing yet
         store.samples.push(sample(0))
         assert answered(stream, store)
@@ -136,7 +136,7 @@ def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
         sampled = sorted(set(indices_of_kind) & produced)
         messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
         serialised.append(list(map(serialize_message, messages)))
-    with kept(*most) as store:
+    with limited_store(*most) as store:
         for live_sample in samples:
             store.samples.push(live_sample)
         for kind, of_kind in zip(KINDS, serialised, strict=True):

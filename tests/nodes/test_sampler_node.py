@@ -95,7 +95,7 @@ def beside(processes: Processes, start: Any, listener: Listener, plant: Path) ->
     return Beside(processes, start, listener, plant)
 
 
-def taken(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
+def numbers_of(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
     return [(m.reference[0], m.output[0], m.input[0]) for m in messages]
 
 
@@ -104,7 +104,7 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Besi
     beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_samples(60)
     rows_of_rig = {tuple(line) for line in rig.json}
-    pairs = taken(beside.samples)
+    pairs = numbers_of(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples]
@@ -178,7 +178,7 @@ def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(bes
     )
     by_name = {"output": "/joints:position[elbow]", "input": "/joints:effort[elbow]", "reference": ""}
     passed_on(beside, beside.sampler(**by_name, use_sim_time="true"), {"/joints": JointState}, sent)
-    assert [(output, command) for _, output, command in taken(beside.samples)] == [
+    assert [(output, command) for _, output, command in numbers_of(beside.samples)] == [
         (20.0 + k, 20.0 + k) for k in range(20)
     ]
 
@@ -195,7 +195,7 @@ def test_an_index_that_means_another_joint_is_reported_and_not_sampled(beside: B
         "/joints:position[0] is elbow in one message and gripper in another; choose it by name: "
         "/joints:position[elbow]; other messages are left out"
     )
-    assert [output for _, output, _ in taken(beside.samples)] == [20.0 + k for k in range(10)]
+    assert [output for _, output, _ in numbers_of(beside.samples)] == [20.0 + k for k in range(10)]
 
 
 def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(beside: Beside) -> None:
@@ -256,7 +256,7 @@ def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any,
 def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
     """0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6."""
     ticks = in_step(beside, 3 * HOLD)
-    assert taken(beside.samples) == ticks
+    assert numbers_of(beside.samples) == ticks
     assert [message.index for message in beside.samples] == list(range(len(ticks)))
     twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
     outcomes = [twin.push(sample_from(message)) for message in beside.samples]
@@ -292,7 +292,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     assert sampler.running
     # The new rig begins cold, at its first set-point; nothing of the old one is mixed in.
     rows_of_rig = {tuple(line) for line in rig.json}
-    pairs = taken(beside.samples[begun + 1 :])
+    pairs = numbers_of(beside.samples[begun + 1 :])
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
 
 

@@ -335,15 +335,15 @@ def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
     ceiling = Ceiling(12.5, np.ones(1))
     random = np.random.default_rng(1)
 
-    def at(warmth: float, lie: float) -> float:
+    def error_at(warmth: float, lie: float) -> float:
         """How far the estimate is off; `warmth` is the typical plant's, above a room of 20 °C."""
         reading = 20.0 + 0.5 * warmth - lie + 0.1 * random.standard_normal()
         ceiling.take(np.array([warmth]), 20.0 + warmth, reading, 60.0)
         return ceiling.estimate - (20.0 + 0.5 * warmth)
 
     for k in range(400):
-        at(40.0 if k % 100 > 20 else 10.0, 0.0)
-    errors = [at(40.0 + 0.05 * k, 0.05 * k) for k in range(600)]
+        error_at(40.0 if k % 100 > 20 else 10.0, 0.0)
+    errors = [error_at(40.0 + 0.05 * k, 0.05 * k) for k in range(600)]
     assert max(errors) - min(errors) < 3.0
     assert min(errors) > 0.0  # the doubt of the start is on the safe side
     assert ceiling.off < -5.0 or ceiling.share < 1.0

@@ -183,10 +183,10 @@ def _by_the_index(content: bytes) -> Iterator[bytes]:
         return
     numbers = {number for number, channel in summary.channels.items() if channel.topic == SAMPLE.name}
     for entry in summary.chunk_indexes:
-        yield from _at(content, entry, numbers)
+        yield from _messages_numbered(content, entry, numbers)
 
 
-def _at(content: bytes, entry: ChunkIndex, numbers: set[int]) -> Iterator[bytes]:
+def _messages_numbered(content: bytes, entry: ChunkIndex, numbers: set[int]) -> Iterator[bytes]:
     from mcap.data_stream import ReadDataStream
 
     stream = BytesIO(content)

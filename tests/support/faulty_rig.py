@@ -101,7 +101,7 @@ def run(
         pwm = pid.step(float(wanted), reading)[0]
         samples.append(Sample(k, k, float(wanted), reading, pwm))
         since = (k - broken.start) * period if broken is not None and "~" in kind else 0.0
-        states = advance(_now(rig, kind, min(since, SLOWLY)), states, pwm, period)
+        states = advance(_broken_rig(rig, kind, min(since, SLOWLY)), states, pwm, period)
         if broken is not None and kind.startswith("heat"):
             states[0] += float(kind[4:]) * period / broken.length
     return samples, truth
@@ -117,7 +117,7 @@ def _offset(kind: str, since: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _now(rig: Parameters, kind: str, since: float = 0.0) -> Parameters:
+def _broken_rig(rig: Parameters, kind: str, since: float = 0.0) -> Parameters:
     """The rig while something is broken, so many seconds after it broke."""
     if kind == "drive-lost":
         return rig.replace(current_limit=1e-9)
