@@ -317,7 +317,7 @@ def kernel() -> Any:
     return compiled(space["_twice_it"])
 
 
-def test_what_is_compiled_is_said(
+def test_what_is_compiled_is_said_once_by_progress_and_screen(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Progress, "SILENCE", 0.0)

@@ -160,9 +160,9 @@ def _inside(whole: Any, path: str) -> Any:
         return None
 
 
-def _parameters(found: Any) -> list[str]:
+def _parameters(function: Any) -> list[str]:
     """Names of parameters, that of the object among them."""
-    return list(inspect.signature(getattr(found, "__func__", found)).parameters)
+    return list(inspect.signature(getattr(function, "__func__", function)).parameters)
 
 
 def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:

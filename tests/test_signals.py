@@ -23,7 +23,7 @@ def disturbed(*rows: tuple[float, ...]) -> list[Sample]:
     return [replace(sample, disturbances=row) for sample, row in zip(samples(4, 5, 6), rows, strict=True)]
 
 
-def test_a_window_of_samples() -> None:
+def test_a_window_and_its_parts_know_their_samples_and_times() -> None:
     window = Window.from_samples(samples(4, 5, 6), period=0.5)
     assert (window.first, window.last, len(window)) == (4, 6, 3)
     np.testing.assert_array_equal(window.output, [29.0, 30.0, 31.0])
@@ -231,7 +231,7 @@ def test_there_and_back_is_the_same(units: tuple[str, str], value: float) -> Non
     assert round_trip == pytest.approx(value, rel=1e-9, abs=1e-6)
 
 
-def test_what_a_unit_measures() -> None:
+def test_units_are_known_by_all_their_spellings_and_by_what_they_measure() -> None:
     for written, plain in (
         *(("deg.C", "°C"), ("ºC", "°C"), ("Celsius", "°C"), ("pct", "%"), ("percent", "%"), ("LPM", "l/min")),
         *(("L/min", "l/min"), ("RPM", "rpm"), ("U/min", "rpm"), ("W/m2K", "W/(m² K)"), ("m3/h", "m³/h")),

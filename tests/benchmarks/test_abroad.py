@@ -63,7 +63,7 @@ def test_at_rest_as_much_enters_a_plant_as_leaves_it(name: str, monkeypatch: pyt
     u, out_of_balance = CASES[name]
     kind = KINDS[name]
     plant = AbroadPlant(kind, 3, (), closed=False)
-    monkeypatch.setattr(plant, "_level", lambda _: u)
+    monkeypatch.setattr(plant, "level", lambda _: u)
     monkeypatch.setitem(plant.parameters, "box_capacity", 500.0)  # hours pass before a real one is at rest
     samples = list(plant.run(round(LONG[name] / kind.period)))
     assert abs(out_of_balance(plant.parameters, plant.states, u, plant.room)) < 0.01

@@ -19,13 +19,15 @@ WITHIN = 3.0
 
 
 @pytest.fixture(scope="module")
-def there(ros: None) -> Iterator[World]:  # noqa: ARG001
+def endings_world(ros: None) -> Iterator[World]:  # noqa: ARG001
     with world() as opened_world:
         yield opened_world
 
 
 @pytest.mark.parametrize("kind", ["controller", "sampler of Modbus", "alone, Modbus"])
-def test_a_process_ends_well_at_any_moment(kind: str, there: World, tmp_path: Path) -> None:
+def test_a_process_ends_well_at_any_moment(kind: str, endings_world: World, tmp_path: Path) -> None:
     rng = random.Random(kind)
     number = rng.choice([signal.SIGINT, signal.SIGTERM])
-    assert not end_once(KINDS[kind](there, tmp_path), tmp_path, rng.uniform(0.0, WITHIN), number).wrong
+    assert not end_once(
+        KINDS[kind](endings_world, tmp_path), tmp_path, rng.uniform(0.0, WITHIN), number
+    ).wrong

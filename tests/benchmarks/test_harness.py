@@ -58,11 +58,11 @@ def test_programs_take_turns_and_failures_stay_in_the_table(common) -> None:
     def fail() -> None:
         raise RuntimeError("does not converge\nat all")
 
-    def one() -> str:
+    def succeed() -> str:
         order.append("a")
         return "result"
 
-    cases = {"twinmatch": one, "peer": lambda: order.append("b"), "broken": fail}
+    cases = {"twinmatch": succeed, "peer": lambda: order.append("b"), "broken": fail}
     timings = common.measure_side_by_side(cases, repeats=4, least=0.0)
     assert order[-8:] == 4 * ["a", "b"]
     assert [len(t.seconds) for t in timings.values()] == [4, 4, 0]

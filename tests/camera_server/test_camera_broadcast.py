@@ -175,7 +175,9 @@ def test_what_clients_say_is_ignored(serve: Callable[..., Broadcast]) -> None:
     client.close()
 
 
-def test_a_client_that_resets(serve: Callable[..., Broadcast]) -> None:
+def test_a_client_that_resets_its_connection_takes_nothing_from_others(
+    serve: Callable[..., Broadcast],
+) -> None:
     broadcast = serve()
     rude = join(broadcast)
     polite = join(broadcast)
@@ -194,7 +196,7 @@ def test_publishing_to_nobody_and_after_the_end(serve: Callable[..., Broadcast])
     broadcast.publish(message(0))
 
 
-def test_an_address_of_another_computer() -> None:
+def test_an_address_of_another_computer_is_refused() -> None:
     with pytest.raises(ListenError, match=r"cannot listen on 192\.0\.2\.1:0"):
         Broadcast("192.0.2.1", 0)
 

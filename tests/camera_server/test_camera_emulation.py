@@ -29,7 +29,7 @@ def film(camera: EmulatedLepton, plate: float, seconds: float, rate: float = 9.0
     return [camera.expose(plate, tick / rate, tick) for tick in range(round(seconds * rate))]
 
 
-def seen(exposures: list[Exposure]) -> list[Exposure]:
+def not_frozen(exposures: list[Exposure]) -> list[Exposure]:
     return [e for e in exposures if not e.frozen]
 
 
@@ -65,7 +65,7 @@ def test_the_plate_is_warmest_in_its_middle() -> None:
 
 def test_noise_has_the_deviations_asked_for() -> None:
     settings = LeptonSettings(pixel_noise=0.05, common_noise=0.08, drift=0.0, gradient=0.0)
-    stack = np.array([celsius(e) for e in seen(film(EmulatedLepton(settings, seed=3), 40.0, 60))])
+    stack = np.array([celsius(e) for e in not_frozen(film(EmulatedLepton(settings, seed=3), 40.0, 60))])
     means = stack.mean(axis=(1, 2))
     n = means.size
     # Four standard errors of a deviation estimated from n values.
@@ -148,7 +148,7 @@ def test_an_impossible_temperature_and_time_that_goes_back() -> None:
         ({"flat_field_period": 2.0}, "has no room for a warning"),
     ],
 )
-def test_settings_that_cannot_be(change: dict[str, Any], message: str) -> None:
+def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(LeptonError, match=message):
         LeptonSettings(**change)
 
@@ -209,7 +209,7 @@ def test_a_file_is_not_replaced_and_a_folder_has_to_be_there(path: Path) -> None
 
 
 @pytest.mark.parametrize("sent", [b"warm", b"", b"nan", b"1e9"])
-def test_what_is_not_a_temperature(path: Path, sent: bytes) -> None:
+def test_what_is_not_a_temperature_is_refused_by_receiver_and_sender(path: Path, sent: bytes) -> None:
     receiver = PlateReceiver(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(sent, str(path))

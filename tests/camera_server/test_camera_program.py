@@ -33,7 +33,7 @@ def next_news(client: ThermalClient) -> Received:
     return news_after
 
 
-def test_a_plate_at_one_temperature(camera: Callable[..., CameraProgram]) -> None:
+def test_a_plate_at_one_temperature_reads_that_temperature(camera: Callable[..., CameraProgram]) -> None:
     server = camera("emulated", "--plate", "60", "--seed", "3")
     with ThermalClient("127.0.0.1", server.port, SETTINGS) as client:
         for _ in range(5):
@@ -79,7 +79,7 @@ def test_a_killed_server_is_found_again(camera: Callable[..., CameraProgram]) ->
         assert client.status.errors["ThermalEndError"] == 1
 
 
-def test_this_computer_only_by_default(camera: Callable[..., CameraProgram]) -> None:
+def test_by_default_it_serves_this_computer_alone(camera: Callable[..., CameraProgram]) -> None:
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 5580))
@@ -90,7 +90,7 @@ def test_this_computer_only_by_default(camera: Callable[..., CameraProgram]) -> 
     assert server.process.end(signal.SIGINT) == 0  # a clean stop too
 
 
-def test_a_taken_port(camera: Callable[..., CameraProgram]) -> None:
+def test_a_port_that_is_in_use_is_one_line_and_exit_code_three(camera: Callable[..., CameraProgram]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         address = f"127.0.0.1:{listening.getsockname()[1]}"
         server = camera("emulated", "--plate", "60", listen=address)
@@ -128,7 +128,9 @@ def test_one_line_says_what_is_wrong(
 
 
 @pytest.mark.parametrize("arguments", [[], ["emulated"], ["emulated", "--plate", "4", "--max-clients", "0"]])
-def test_arguments_that_argparse_refuses(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_and_impossible_arguments_are_exit_code_two(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert "error:" in capsys.readouterr().err.splitlines()[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -103,8 +104,8 @@ def test_nonsense_on_the_feed_is_reported_and_skipped(
     path = tmp_path / "plate.sock"
     source = EmulatedSource(feed=path, settings=LeptonSettings(rate=200.0))
     source.open()
-    with PlateFeed(path) as feed:
-        feed._socket.sendto(b"warm", str(path))
+    with PlateFeed(path) as feed, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"warm", str(path))
         assert source.read(0.1) is None
         assert "b'warm' is not a temperature" in caplog.text
         feed.send(33.0)
@@ -354,7 +355,7 @@ def with_linuxpy(monkeypatch: pytest.MonkeyPatch, linuxpy: FakeLinuxpy) -> V4l2S
     return V4l2Source("/dev/video9", size=(4, 2))
 
 
-def test_what_is_asked_of_linuxpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_linuxpy_is_asked_to_open_stream_and_close_once(monkeypatch: pytest.MonkeyPatch) -> None:
     linuxpy = FakeLinuxpy()
     source = with_linuxpy(monkeypatch, linuxpy)
     source.open()

@@ -128,13 +128,13 @@ def test_noise_gives_no_frame(data: bytes) -> None:
 # --- telemetry -----------------------------------------------------------------------------------
 
 
-def told(**words: int) -> Exposure:
+def telemetry_of(**words: int) -> Exposure:
     """What telemetry makes of an image."""
     return exposure(np.ones((60, 80), np.uint16), telemetry_rows(**words), 7)
 
 
-def test_telemetry_words() -> None:
-    telemetry = told(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
+def test_telemetry_words_become_the_fields_of_an_exposure() -> None:
+    telemetry = telemetry_of(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
     assert (telemetry.frame_counter, telemetry.sensor_temperature, telemetry.stamp) == (70_000, 30_315, 7)
     assert telemetry.flat_field is FlatField.COMPLETE
     assert telemetry.flat_field_age == 65_536 + 4000
@@ -143,8 +143,8 @@ def test_telemetry_words() -> None:
 
 
 @pytest.mark.parametrize("state", list(FlatField))
-def test_flat_field_states(state: FlatField) -> None:
-    telemetry = told(status=state << 4)
+def test_each_flat_field_state_is_read_and_has_an_age_unless_it_is_never(state: FlatField) -> None:
+    telemetry = telemetry_of(status=state << 4)
     assert telemetry.flat_field is state
     assert (telemetry.flat_field_age is None) == (state is FlatField.NEVER)
 
@@ -158,12 +158,12 @@ def test_flat_field_states(state: FlatField) -> None:
         (20, FrameFlags.OVERHEATING),
     ],
 )
-def test_status_bits(bit: int, flag: FrameFlags) -> None:
-    assert told(status=1 << bit).flags is flag
+def test_each_status_bit_has_its_flag(bit: int, flag: FrameFlags) -> None:
+    assert telemetry_of(status=1 << bit).flags is flag
 
 
-def test_counts_that_are_not_temperatures() -> None:
-    telemetry = told(c48=0, c49=0)
+def test_counts_that_are_not_temperatures_are_flagged() -> None:
+    telemetry = telemetry_of(c48=0, c49=0)
     assert telemetry.flags is FrameFlags.NOT_RADIOMETRIC
     assert telemetry.resolution == 0.1
     assert not telemetry.radiometric
@@ -268,7 +268,9 @@ def test_lost_sync_means_silence_and_then_frames_again() -> None:
 
 
 @pytest.mark.parametrize("idle", [b"\xff" * PACKET_BYTES, bytes(PACKET_BYTES)])
-def test_a_wire_without_a_camera(monkeypatch: pytest.MonkeyPatch, idle: bytes) -> None:
+def test_a_wire_without_a_camera_is_an_error_that_names_the_wiring(
+    monkeypatch: pytest.MonkeyPatch, idle: bytes
+) -> None:
     monkeypatch.setattr(lepton_module, "_PATIENCE", 0.05)
     source = opened(FakeSpi([], idle))
     with pytest.raises(SourceError, match=r"no frame in 0\.05 s; check wiring"):
@@ -295,7 +297,7 @@ def test_close_gives_the_bus_back_once() -> None:
     assert spi.closed
 
 
-def test_buses_that_cannot_be_opened() -> None:
+def test_buses_that_cannot_be_opened_are_an_error_that_says_what_to_do() -> None:
     def missing() -> tuple[FakeSpi, FakeCci]:
         raise FileNotFoundError(2, "No such file or directory")
 

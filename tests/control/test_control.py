@@ -16,17 +16,17 @@ from twinmatch.dynamics import Controller, PidState
 from twinmatch.plants import Peltier, TCLab, TCLabBoth
 
 
-def made(levels, holds, **rest):
+def profile_of(levels, holds, **options):
     """A profile within what the rig can bear."""
     low, high = Peltier.output.safe
-    return Profile(levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | rest)
+    return Profile(levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | options)
 
 
-STAIRS = made((30.0, 50.0, 40.0), (10.0, 20.0, 30.0))
+STAIRS = profile_of((30.0, 50.0, 40.0), (10.0, 20.0, 30.0))
 
 profiles = st.lists(st.tuples(st.floats(5.0, 90.0), st.floats(20.0, 500.0)), min_size=1, max_size=6).flatmap(
     lambda rows: st.builds(
-        made,
+        profile_of,
         st.just(tuple(level for level, _ in rows)),
         st.just(tuple(hold for _, hold in rows)),
         repeat=st.booleans(),
@@ -47,21 +47,21 @@ def test_a_profile_ends_unless_it_repeats():
     assert STAIRS.duration == 60
     assert not STAIRS.ended(59.999)
     assert STAIRS.ended(60)
-    repeating = made(STAIRS.levels, STAIRS.holds, repeat=True)
+    repeating = profile_of(STAIRS.levels, STAIRS.holds, repeat=True)
     assert repeating.duration == math.inf
     assert not repeating.ended(1e9)
     assert [repeating.reference(t) for t in (60, 70, 90, 119, 120)] == [30, 50, 40, 40, 30]
 
 
 def test_a_ramp_leads_from_level_to_level():
-    ramped = made((30.0, 50.0, 40.0), (10.0, 20.0, 30.0), ramp=2.0)
+    ramped = profile_of((30.0, 50.0, 40.0), (10.0, 20.0, 30.0), ramp=2.0)
     assert [ramped.reference(t) for t in (0, 9, 10, 15, 20, 29, 30, 32, 35, 59)] == pytest.approx(
         [30, 30, 30, 40, 50, 50, 50, 46, 40, 40]
     )
 
 
 def test_a_repeated_ramp_comes_from_the_last_level():
-    ramped = made((30.0, 50.0), (20.0, 20.0), repeat=True, ramp=2.0)
+    ramped = profile_of((30.0, 50.0), (20.0, 20.0), repeat=True, ramp=2.0)
     assert [ramped.reference(t) for t in (0, 5, 40, 45, 50)] == pytest.approx([30, 30, 50, 40, 30])
 
 
@@ -113,7 +113,7 @@ def test_a_ramp_is_no_steeper_than_asked(profile, time, step):
 )
 def test_impossible_profiles_are_refused(arguments, message):
     with pytest.raises(ControlError, match=message):
-        made(**arguments)
+        profile_of(**arguments)
 
 
 def test_a_time_has_to_be_one():
@@ -394,9 +394,9 @@ def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading()
     assert max(abs(a.inputs[0] - b.inputs[0]) for a, b in steps) <= 2.0 * growth
 
 
-@pytest.mark.parametrize("taken", [(40.0,), (math.inf, 30.0), (40.0, -math.inf)])
-def test_what_stands_in_has_a_number_for_each_output(taken):
+@pytest.mark.parametrize("replacement", [(40.0,), (math.inf, 30.0), (40.0, -math.inf)])
+def test_what_stands_in_has_a_number_for_each_output(replacement):
     loop = Loop(TCLabBoth)
-    loop.measure((40.0, 30.0), 0, taken=taken)
+    loop.measure((40.0, 30.0), 0, taken=replacement)
     assert loop.refused == 1
     assert loop.tick(0, lambda _: (42.0, 33.0)) is None

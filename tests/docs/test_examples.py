@@ -41,12 +41,14 @@ def _modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
 
 
-def test_there_are_examples() -> None:
+def test_examples_of_the_readme_are_among_those_that_are_run() -> None:
     assert any(name.startswith("README") for name, _ in examples())
 
 
 @pytest.mark.parametrize(("name", "code"), examples(), ids=[name for name, _ in examples()])
-def test_example(name: str, code: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_example_runs_and_prints_what_it_says(
+    name: str, code: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     exec(compile(code, name, "exec"), {"__name__": "example"})
     promised = re.findall(r"# prints: (.*)$", code, re.MULTILINE)
     assert capsys.readouterr().out.splitlines()[: len(promised)] == promised

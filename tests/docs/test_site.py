@@ -46,11 +46,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "html"
 
 
-def is_public(module: ModuleType, name: str, it: object) -> bool:
+def is_public(module: ModuleType, name: str, member: object) -> bool:
     """Whether a class or function is listed by its room, or defined in a file that has no list."""
     listed = getattr(module, "__all__", None)
-    is_defined_here = getattr(it, "__module__", "") == module.__name__ and not name.startswith("_")
-    return (inspect.isclass(it) or inspect.isfunction(it)) and (
+    is_defined_here = getattr(member, "__module__", "") == module.__name__ and not name.startswith("_")
+    return (inspect.isclass(member) or inspect.isfunction(member)) and (
         is_defined_here if listed is None else name in listed
     )
 

@@ -117,22 +117,22 @@ QUOTED = [
 
 
 @pytest.fixture(scope="module")
-def said() -> str:
+def sentences() -> str:
     return "\n".join(" ".join(text.split()) for path in SOURCES for text in prose(path))
 
 
-def test_there_are_quotations() -> None:
+def test_the_page_quotes_many_messages() -> None:
     assert len(QUOTED) > 80
 
 
 @pytest.mark.parametrize("words", QUOTED)
-def test_what_is_quoted_is_said(words: str, said: str) -> None:
+def test_what_is_quoted_is_said(words: str, sentences: str) -> None:
     pattern = ".*".join(re.escape(part.strip()) for part in words.split("…"))
-    assert re.search(pattern, said), f"nothing in the source says {words!r}"
+    assert re.search(pattern, sentences), f"nothing in the source says {words!r}"
 
 
-def test_what_is_not_said_would_be_found(said: str) -> None:
-    assert not re.search(re.escape("the flux capacitor is at fault"), said)
+def test_what_is_not_said_would_be_found(sentences: str) -> None:
+    assert not re.search(re.escape("the flux capacitor is at fault"), sentences)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/dashboard.md", "docs/health.md"])

@@ -299,7 +299,9 @@ def test_opening_and_closing_at_1200_baud_leads_to_the_boot_loader(board: Board,
         (seal("Z 2"), Code.UNKNOWN),
     ],
 )
-def test_refusals(wire: Wire, line: bytes, code: Code) -> None:
+def test_damaged_and_impossible_requests_are_refused_with_their_code(
+    wire: Wire, line: bytes, code: Code
+) -> None:
     wire.send(line)
     reply = wire.wait(lambda reply: isinstance(reply, Refusal))
     assert reply.code is code
@@ -312,9 +314,9 @@ def test_a_thousand_set_points_in_order(wire: Wire) -> None:
         assert wire.status(f"P {n + 2} {pwm}").applied == pwm
 
 
-def allowed(payload: str, now: int) -> set[int]:
+def allowed(payload: str, applied: int) -> set[int]:
     """What the output may be after a damaged copy of `payload`: as it was, or as the sound copy makes it."""
-    return {now, int(payload.split()[2]) if payload.startswith("P") else 0}
+    return {applied, int(payload.split()[2]) if payload.startswith("P") else 0}
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire: Wire) -> None:
@@ -374,7 +376,9 @@ def test_what_is_missing_is_named(
         build_virtual_board(PROJECT, tmp_path)
 
 
-def test_sources_that_do_not_compile(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_sources_that_do_not_compile_are_reported_with_the_compilers_words(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     if shutil.which("make") is None:
         pytest.skip("no make on this machine")
     (tmp_path / "firmware").mkdir()
@@ -392,7 +396,7 @@ def test_a_simulator_that_is_not_there_and_one_that_ends_at_once(tmp_path: Path)
         VirtualArduino(program(tmp_path / "simulator", "echo no image >&2"))
 
 
-def test_an_invalid_image(tmp_path: Path) -> None:
+def test_a_simulator_without_an_image_is_an_error(tmp_path: Path) -> None:
     parts = boards.tools()
     if isinstance(parts, str):
         pytest.skip(parts)
@@ -400,7 +404,7 @@ def test_an_invalid_image(tmp_path: Path) -> None:
         VirtualArduino(VirtualTools(parts.program, tmp_path / "no.elf"))
 
 
-def test_a_simulator_that_ends_later(tmp_path: Path) -> None:
+def test_a_simulator_that_ends_later_is_an_error_of_every_command(tmp_path: Path) -> None:
     simulator = VirtualArduino(program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line"))
     with pytest.raises(ArduinoError, match="its process has ended"):
         simulator.advance(0.1)
@@ -409,7 +413,7 @@ def test_a_simulator_that_ends_later(tmp_path: Path) -> None:
     simulator.close()
 
 
-def test_a_simulator_of_another_version(tmp_path: Path) -> None:
+def test_a_command_that_a_simulator_of_another_version_refuses_is_an_error(tmp_path: Path) -> None:
     tools = program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line; echo error; read line")
     with VirtualArduino(tools) as simulator, pytest.raises(ArduinoError, match="it refused a command"):
         simulator.hang()

@@ -48,7 +48,7 @@ KELVIN = 273.15
 HOT = begin(RICH_RIG, 340.0 - KELVIN, starts={"sink": 300.0})
 
 
-def test_faults_are_read() -> None:
+def test_faults_are_read_with_their_begin_and_duration() -> None:
     assert parse_faults("drive-lost@300,camera-gone@300+30") == (
         RigFault("drive-lost", 300.0, INFINITE),
         RigFault("camera-gone", 300.0, 30.0),
@@ -70,7 +70,7 @@ def test_faults_are_read() -> None:
         ("drive-lost@1+inf", "'inf' is not a time"),
     ],
 )
-def test_faults_that_cannot_be(text: str, message: str) -> None:
+def test_faults_that_cannot_be_are_refused(text: str, message: str) -> None:
     with pytest.raises(FaultError, match=message):
         parse_faults(text)
 
@@ -206,7 +206,7 @@ def test_time_lost_to_a_busy_machine(monkeypatch: pytest.MonkeyPatch, speed: flo
     assert free * 0.01 == pytest.approx(made_up, abs=0.021)
 
 
-def test_addresses() -> None:
+def test_an_address_has_a_host_and_a_port_or_is_refused() -> None:
     assert parse_address("localhost:80") == ("localhost", 80)
     assert parse_address("[::1]:80") == ("::1", 80)
     for text in ("", "localhost", "localhost:", ":1", "a:0", "a:65536", "a:1.5"):

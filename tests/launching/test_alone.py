@@ -22,8 +22,8 @@ def device() -> Iterator[str]:
     """URL of an oven behind Modbus."""
     port = free_port()
 
-    def make(what: SimDevice, trace: object) -> ModbusBaseServer:
-        return ModbusTcpServer(what, address=("127.0.0.1", port), trace_pdu=trace)
+    def make(simulated: SimDevice, trace: object) -> ModbusBaseServer:
+        return ModbusTcpServer(simulated, address=("127.0.0.1", port), trace_pdu=trace)
 
     running = RunningDevice(make, ServedOven().device(), f"modbus://127.0.0.1:{port}/1")
     yield running.url

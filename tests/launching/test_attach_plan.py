@@ -29,13 +29,13 @@ def planned(folder: Path, sim_time: str) -> AttachPlan:
         )
 
 
-@pytest.mark.parametrize(("value", "given"), [("true", True), ("false", False), (None, False)])
+@pytest.mark.parametrize(("value", "is_simulated"), [("true", True), ("false", False), (None, False)])
 def test_simulated_time_is_that_of_sampler_twin_and_recorder(
-    value: str | None, given: bool, tmp_path: Path
+    value: str | None, is_simulated: bool, tmp_path: Path
 ) -> None:
     plan = planned(tmp_path, "" if value is None else f"    use_sim_time: {value}\n")
     for words in (plan.rig_arguments({}), plan.twin_arguments(), plan.recorder_arguments(tmp_path / "run")):
-        assert ("use_sim_time:=true" in words) == given
+        assert ("use_sim_time:=true" in words) == is_simulated
 
 
 def test_what_is_not_true_or_false_is_refused(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from twinmatch.nodes.health import NodeHealth
 from twinmatch.showing.page.health import MAX_NODES
 
 
-class Told:
+class ErrorScreen:
     """What is shown of reports."""
 
     def __init__(self) -> None:
@@ -35,34 +35,34 @@ class Told:
 
 
 @pytest.fixture
-def told() -> Iterator[Told]:
-    return Told()
+def screen() -> Iterator[ErrorScreen]:
+    return ErrorScreen()
 
 
-def test_an_error_is_shown_once_while_it_stands(told: Told) -> None:
-    assert told.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
-    assert told.take("a: health", "no image for 4 s") == []
-    assert told.take("a: health", "working", DiagnosticStatus.OK) == ["a: health: recovered"]
-    assert told.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
+def test_an_error_is_shown_once_while_it_stands(screen: ErrorScreen) -> None:
+    assert screen.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
+    assert screen.take("a: health", "no image for 4 s") == []
+    assert screen.take("a: health", "working", DiagnosticStatus.OK) == ["a: health: recovered"]
+    assert screen.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
 
 
-def test_of_a_report_only_what_is_new_is_shown_and_of_several_nodes_the_first(told: Told) -> None:
+def test_of_a_report_only_what_is_new_is_shown_and_of_several_nodes_the_first(screen: ErrorScreen) -> None:
     first = "refused: /s: sample 3 has 0 outputs; give one"
     second = "refused: /s: its time is negative"
-    assert told.take("a: health", first) == [f"a: health: {first}"]
-    assert told.take("a: health", f"{first}; {second}") == [f"a: health: {second}"]
-    assert told.take("b: health", f"{second}; {first}") == []
-    assert told.take("b: health", f"{second}; refused: /c: x") == ["b: health: refused: /c: x"]
+    assert screen.take("a: health", first) == [f"a: health: {first}"]
+    assert screen.take("a: health", f"{first}; {second}") == [f"a: health: {second}"]
+    assert screen.take("b: health", f"{second}; {first}") == []
+    assert screen.take("b: health", f"{second}; refused: /c: x") == ["b: health: refused: /c: x"]
 
 
-def test_what_is_shown_is_one_printable_line_of_bounded_length(told: Told) -> None:
-    [line] = told.take("\x1b]0;owned\x07", "\x1b[2J\nrig: health: recovered" + "x" * 40_000)
+def test_what_is_shown_is_one_printable_line_of_bounded_length(screen: ErrorScreen) -> None:
+    [line] = screen.take("\x1b]0;owned\x07", "\x1b[2J\nrig: health: recovered" + "x" * 40_000)
     assert line.startswith(r"\x1b]0;owned\x07: \x1b[2J\nrig: health")
     assert line.isprintable()
     assert len(line) < 2 * Errors.MAX_TEXT
 
 
-def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(told: Told) -> None:
+def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(screen: ErrorScreen) -> None:
     """1,152 messages without meaning, each refused by eleven nodes, were 123 kB."""
     drawn = Nonsense(seed=27)
     nodes = {f"node_{k}": NodeHealth() for k in range(11)}
@@ -77,34 +77,34 @@ def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(told: Told) -> None:
                 entrance.refuse(f"/{kind.__name__}", str(error))
         for name, health in nodes.items():
             report = health.report()
-            told.take(name, report.message, bytes([report.level]))
+            screen.take(name, report.message, bytes([report.level]))
     counted = sum(int(value) for value in entrances[0]._health.report().values.values())
     assert counted > 500
-    assert sum(map(len, told.lines)) < 5000
+    assert sum(map(len, screen.lines)) < 5000
 
 
-def test_an_error_that_comes_and_goes_hides_no_other(told: Told) -> None:
+def test_an_error_that_comes_and_goes_hides_no_other(screen: ErrorScreen) -> None:
     """A busy machine makes inputs late again and again; then the rig is switched off."""
     for k in range(100):
-        told.take("sampler", f"input arrives every 0.1{k} s")
-        told.take("sampler", "well", DiagnosticStatus.OK)
-    assert len(told.lines) == 2 * Errors.MAX_REPEATS
-    told.take("sampler", "/heater no longer has a publisher")
-    assert told.lines[-1] == "sampler: /heater no longer has a publisher"
+        screen.take("sampler", f"input arrives every 0.1{k} s")
+        screen.take("sampler", "well", DiagnosticStatus.OK)
+    assert len(screen.lines) == 2 * Errors.MAX_REPEATS
+    screen.take("sampler", "/heater no longer has a publisher")
+    assert screen.lines[-1] == "sampler: /heater no longer has a publisher"
 
 
-def test_a_flood_of_errors_ends(told: Told) -> None:
+def test_a_flood_of_errors_ends(screen: ErrorScreen) -> None:
     for k in range(100):
-        told.take("a", "x" * k)
-        told.take("a", "well", DiagnosticStatus.OK)
-    assert len(told.lines) == Errors.MAX_LINES
+        screen.take("a", "x" * k)
+        screen.take("a", "well", DiagnosticStatus.OK)
+    assert len(screen.lines) == Errors.MAX_LINES
     for k in range(5000):
-        told.take(f"node {'x' * k}", "error", DiagnosticStatus.ERROR)
-        told.take(f"node {'x' * k}", "well", DiagnosticStatus.OK)
-    assert len(told.lines) <= 2 * MAX_NODES * Errors.MAX_LINES
+        screen.take(f"node {'x' * k}", "error", DiagnosticStatus.ERROR)
+        screen.take(f"node {'x' * k}", "well", DiagnosticStatus.OK)
+    assert len(screen.lines) <= 2 * MAX_NODES * Errors.MAX_LINES
 
 
-def test_a_fault_of_the_plant_is_left_to_the_verdicts(told: Told) -> None:
-    assert not told.take("rig_a/discriminator: plant", "drive-lost: the input has no effect")
-    assert told.take("boiler: plant", "it is cold") == ["boiler: plant: it is cold"]
-    assert told.take("rig_a/discriminator: health", "broken")
+def test_a_fault_of_the_plant_is_left_to_the_verdicts(screen: ErrorScreen) -> None:
+    assert not screen.take("rig_a/discriminator: plant", "drive-lost: the input has no effect")
+    assert screen.take("boiler: plant", "it is cold") == ["boiler: plant: it is cold"]
+    assert screen.take("rig_a/discriminator: health", "broken")

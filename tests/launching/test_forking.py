@@ -91,12 +91,14 @@ def test_it_is_signalled_and_waited_for(tmp_path: Path, program: str) -> None:
 
 
 def test_a_server_that_is_killed_is_replaced_and_its_programs_continue(tmp_path: Path, program: str) -> None:
+    children_before = set(Process.children_of(os.getpid()))
     server = ForkServer()
+    (server_id,) = set(Process.children_of(os.getpid())) - children_before
     try:
         first = start(server, tmp_path / "first", program, "wait")
         lines_of(tmp_path / "first")
-        os.kill(server._process.pid, signal.SIGKILL)
-        server._process.wait()
+        os.kill(server_id, signal.SIGKILL)
+        os.waitid(os.P_PID, server_id, os.WEXITED | os.WNOWAIT)
         assert start(server, tmp_path / "second", program, "0").wait(PATIENCE) == 0
         assert first.poll() is None
     finally:

@@ -145,21 +145,21 @@ class Ending(Processes):
         self.started.append(f"{name}: {module} {' '.join(arguments)}")
 
 
-def ending(name: str, code: int) -> tuple[_LiveRun, Ending]:
+def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
     plan = LivePlan(Path("rig.yaml"), session=Path("run"), virtual=VirtualPlan(speed=20.0))
     live = Live(plan)
     live.samples.close()
     run = _LiveRun(live, Lines())
     run.show("[virtual_rig] clock: localhost:9")
     run.processes = processes = Ending(name, code)
-    return run, processes
+    return live, run, processes
 
 
-@pytest.mark.parametrize(("speed", "own"), [(1.0, False), (0.5, True), (20.0, True)])
-def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, own: bool) -> None:
+@pytest.mark.parametrize(("speed", "has_own_clock"), [(1.0, False), (0.5, True), (20.0, True)])
+def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, has_own_clock: bool) -> None:
     plan = LivePlan(Path("rig.yaml"), virtual=VirtualPlan(speed=speed))
     for arguments in (plan.twin_arguments(), plan.recorder_arguments(Path("run")), plan.rig_arguments({})):
-        assert ("use_sim_time:=true" in arguments) is own
+        assert ("use_sim_time:=true" in arguments) is has_own_clock
 
 
 @pytest.mark.parametrize(
@@ -176,22 +176,22 @@ def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, o
 def test_the_run_ends_with_what_it_cannot_do_without(
     name: str, code: int, exit_code: int, reason: str
 ) -> None:
-    run, processes = ending(name, code)
+    live, run, processes = ending(name, code)
     assert run.check(Watch) == exit_code  # type: ignore[arg-type]
-    assert run._live.ending == reason
+    assert live.ending == reason
     assert not processes.started
 
 
 @pytest.mark.parametrize("name", ["twin", "recorder", "plant_clock"])
 def test_others_are_restarted_but_not_for_ever(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    run, processes = ending(name, -9)
+    live, run, processes = ending(name, -9)
     for _ in range(_LiveRun.RESTARTS):
         assert run.check(Watch) is None  # type: ignore[arg-type]
     assert f"{name} ended with code -9; restarting it" in capsys.readouterr().out
     assert len(processes.started) == _LiveRun.RESTARTS
     assert processes.started[0].startswith(f"{name}: twinmatch.nodes {name} --ros-args")
     assert run.check(Watch) == 3  # type: ignore[arg-type]
-    assert "after 12 restarts in 600 s" in run._live.ending
+    assert "after 12 restarts in 600 s" in live.ending
 
 
 # A run may last for weeks: what sees every sample and every verdict keeps no more for it.
@@ -253,10 +253,16 @@ def test_a_recording_keeps_nothing_of_what_it_has_written(tmp_path: Path) -> Non
 
 def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]) -> None:
     _, verdicts = judged
-    screen = Screen(Console(file=io.StringIO()), "live")
+    console = Console(file=io.StringIO(), width=200, height=200)
+    screen = Screen(console, "live")
     many = [replace(v, sample=v.sample + 10_000 * k) for k in range(20) for v in verdicts]
     assert growth(lambda k: screen.take_verdict(many[k]), len(many) // 2, len(many) // 2) < 20_000
-    assert list(screen._events) == events(many)[-MAX_EVENTS:]
+    console.print(screen)
+    lines = console.file.getvalue().rpartition("\n\n")[2].splitlines()
+    newest = events(many)[-MAX_EVENTS:]
+    for line, event in zip(lines, newest, strict=True):
+        assert line.startswith(f"{event.sample:>6} s "), event
+        assert event.title in line
 
 
 def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:

@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from tests.support.kits import BenchKit
+from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.links.kit_keeper import open_kit
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilentError, require_port
@@ -36,14 +37,15 @@ def link(kit: BenchKit) -> Iterator[KitLink]:
     opened.close()
 
 
-def off(kit: BenchKit) -> None:
+def wait_for_both_off(kit: BenchKit) -> None:
     wait_for(lambda: kit.heaters == [0.0, 0.0], "both heaters off")
 
 
-def keeper(link: KitLink) -> int:
+def keeper(kit: BenchKit) -> int:
     """Process id of who holds the port."""
-    assert link._process is not None
-    return link._process.pid
+    words = {child: Path(f"/proc/{child}/cmdline").read_text() for child in Process.children_of(os.getpid())}
+    (holding,) = (child for child, line in words.items() if "kit_keeper" in line and kit.port in line)
+    return holding
 
 
 def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebody_commands(
@@ -61,14 +63,14 @@ def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebod
     assert link._process is not None
     assert link._process.stdin is not None
     link._process.stdin.close()
-    off(kit)
+    wait_for_both_off(kit)
 
 
 def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
     link = KitLink(kit.port, deadline=0.6)
     link.open()
     link.drive(50.0, 50.0)
-    off(kit)
+    wait_for_both_off(kit)
     with pytest.raises(KitSilentError, match=r"received no command for 0\.6 s"):
         link.drive(50.0, 0.0)
     assert link.drive(0.0, 0.0)[2] == 0.0
@@ -82,7 +84,7 @@ def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> No
     link.drive(50.0, 30.0)
     with pytest.raises(KitError, match="it must be within 0 to 100 %"):
         link.drive(50.0, math.nan)
-    off(kit)
+    wait_for_both_off(kit)
     assert kit.highest == 50.0
 
 
@@ -90,7 +92,7 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     kit: BenchKit, link: KitLink
 ) -> None:
     link.drive(80.0, 60.0)
-    os.kill(keeper(link), signal.SIGKILL)
+    os.kill(keeper(kit), signal.SIGKILL)
     with pytest.raises(KitError, match="process that holds its port"):
         link.drive(80.0, 60.0)
     link.close()
@@ -98,11 +100,11 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     link.open()
     assert kit.heaters == [0.0, 0.0]
     link.drive(80.0, 60.0)
-    os.kill(keeper(link), signal.SIGTERM)
-    off(kit)
+    os.kill(keeper(kit), signal.SIGTERM)
+    wait_for_both_off(kit)
 
 
-def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
+def test_a_pulled_cable_is_an_error_and_a_returned_one_can_be_opened(kit: BenchKit, link: KitLink) -> None:
     link.drive(80.0, 60.0)
     kit.unplug()
     with pytest.raises(KitError):
@@ -136,7 +138,7 @@ def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink
     kit.shown[2] = math.nan
     with pytest.raises(KitError, match="T2 reads nan"):
         link.drive(40.0, 30.0)
-    off(kit)
+    wait_for_both_off(kit)
 
 
 def test_a_kit_that_says_nothing_is_given_up(kit: BenchKit, link: KitLink) -> None:

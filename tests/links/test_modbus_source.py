@@ -159,8 +159,8 @@ def oven() -> ServedOven:
 def device(oven: ServedOven) -> Iterator[RunningDevice]:
     port = free_port()
 
-    def make(what: SimDevice, trace: Any) -> ModbusBaseServer:
-        return ModbusTcpServer(what, address=("127.0.0.1", port), trace_pdu=trace)
+    def make(simulated: SimDevice, trace: Any) -> ModbusBaseServer:
+        return ModbusTcpServer(simulated, address=("127.0.0.1", port), trace_pdu=trace)
 
     running = RunningDevice(make, oven.device(), f"modbus://127.0.0.1:{port}/1")
     yield running
@@ -185,8 +185,8 @@ def line(oven: ServedOven) -> Iterator[RunningDevice]:
     wire = threading.Thread(target=pass_on)
     wire.start()
 
-    def make(what: SimDevice, trace: Any) -> ModbusBaseServer:
-        return ModbusSerialServer(what, port=os.ttyname(their_end), baudrate=115200, trace_pdu=trace)
+    def make(simulated: SimDevice, trace: Any) -> ModbusBaseServer:
+        return ModbusSerialServer(simulated, port=os.ttyname(their_end), baudrate=115200, trace_pdu=trace)
 
     url = f"modbus+rtu://{os.ttyname(our_end)}?baud=115200&unit=1"
     running = RunningDevice(make, oven.device(), url)

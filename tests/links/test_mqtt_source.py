@@ -156,7 +156,7 @@ def stepped(broker: RunningBroker, plant: Path) -> Iterator[InStep]:
     opened.close()
 
 
-def said(wanted: float, reading: float, duty: float) -> dict[str, str | bytes]:
+def payloads_of(wanted: float, reading: float, duty: float) -> dict[str, str | bytes]:
     return {
         "oven/set_point": repr(wanted),
         "oven/room": json.dumps({"t": {"now": reading, "unit": "C"}}),
@@ -172,7 +172,7 @@ def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
     rows_of_oven = []
     for number in range(3 * HOLD):
         rows_of_oven.append(oven.step())
-        samples += stepped.tick(number, said(*rows_of_oven[-1]))
+        samples += stepped.tick(number, payloads_of(*rows_of_oven[-1]))
     assert [(s.reference, s.output, s.input) for s in samples] == rows_of_oven
     assert [s.index for s in samples] == list(range(3 * HOLD))
     twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
@@ -211,13 +211,13 @@ def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
     broker: RunningBroker, plant: Path
 ) -> None:
     client = Broker.parse(broker.url).connected(lambda _: None)
-    for topic, payload in said(30.0, 99.0, 77.0).items():
+    for topic, payload in payloads_of(30.0, 99.0, 77.0).items():
         client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
     stepped = InStep(broker, str(plant), PERIOD, PLACES, mark=None)
     assert stepped.tick(0, {}, more=3) == []
     newest = stepped.listener.sampler.newest
     assert (newest("reference"), newest("output"), newest("input")) == (30.0, None, None)
-    tick = said(0.0, 21.0, 50.0)
+    tick = payloads_of(0.0, 21.0, 50.0)
     del tick["oven/set_point"]
     [sample] = stepped.tick(1, tick)
     assert (sample.reference, sample.output, sample.input) == (30.0, 21.0, 50.0)
@@ -228,7 +228,7 @@ def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
 def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
     stepped: InStep, broker: RunningBroker
 ) -> None:
-    [first] = stepped.tick(0, said(30.0, 20.0, 10.0))
+    [first] = stepped.tick(0, payloads_of(30.0, 20.0, 10.0))
     broker.kill()
     wait_for(lambda: "the connection to the broker at" in stepped.listener.trouble("output"), "the loss")
     assert stepped.listener.samples() == []
@@ -236,13 +236,13 @@ def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
     assert (newest("output"), newest("reference")) == (None, 30.0)  # the room may have changed meanwhile
     broker.start()
     stepped.subscribed()
-    [behind] = stepped.tick(50, said(30.0, 25.0, 10.0))
+    [behind] = stepped.tick(50, payloads_of(30.0, 25.0, 10.0))
     assert (first.index, behind.index) == (0, 50)
     assert behind.output == 25.0
 
 
 def test_thousands_of_malformed_messages_end_nothing(stepped: InStep) -> None:
-    assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
+    assert len(stepped.tick(0, payloads_of(30.0, 20.0, 10.0))) == 1
     nonsense = random.Random(5)
     before = stepped.received
     for k in range(2_000):
@@ -252,7 +252,7 @@ def test_thousands_of_malformed_messages_end_nothing(stepped: InStep) -> None:
     assert stepped.listener.failed is None
     assert "2000 messages on oven/room without a number" in stepped.source.trouble("oven/room")
     assert stepped.listener.samples() == []
-    [sample] = stepped.tick(5, said(30.0, 21.0, 10.0))
+    [sample] = stepped.tick(5, payloads_of(30.0, 21.0, 10.0))
     assert (sample.index, sample.output) == (5, 21.0)
     assert not stepped.source.trouble("oven/room")
 
@@ -269,19 +269,19 @@ NOT_NUMBERS: tuple[Callable[[], str], ...] = (
 def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(stepped: InStep) -> None:
     numbers = itertools.count()
     for payload in NOT_NUMBERS:
-        assert len(stepped.tick(next(numbers), said(30.0, 20.0, 10.0))) == 1, payload()
+        assert len(stepped.tick(next(numbers), payloads_of(30.0, 20.0, 10.0))) == 1, payload()
         for _ in range(6):
-            samples = stepped.tick(next(numbers), said(30.0, 0.0, 10.0) | {"oven/room": payload()})
+            samples = stepped.tick(next(numbers), payloads_of(30.0, 0.0, 10.0) | {"oven/room": payload()})
         assert samples == [], payload()
         number = next(numbers)
-        [sample] = stepped.tick(number, said(30.0, 22.0, 10.0))
+        [sample] = stepped.tick(number, payloads_of(30.0, 22.0, 10.0))
         assert (sample.index, sample.output) == (number, 22.0), payload()
 
 
 def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None:
     indices = []
     for number in (0, 1, 2, 600, 601, 602, 3, 4, 5):
-        indices += [s.index for s in stepped.tick(number, said(30.0, 20.0 + number % 3, 10.0))]
+        indices += [s.index for s in stepped.tick(number, payloads_of(30.0, 20.0 + number % 3, 10.0))]
     assert indices[:3] == [0, 1, 2]
     assert indices == sorted(set(indices))
     assert max(b - a for a, b in itertools.pairwise(indices)) >= 598
@@ -298,16 +298,16 @@ def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
 
     stepped = InStep(broker, str(plant), PERIOD, places, mark=wanted)
 
-    def told(at: float) -> dict[str, str | bytes]:
+    def timed_payloads(at: float) -> dict[str, str | bytes]:
         return {
             "oven/set_point": wanted(30.0),
             "oven/room": json.dumps({"t": 20.0, "at": at}),
             "oven/heater": json.dumps({"duty cycle": 5.0, "at": at}),
         }
 
-    [sample] = stepped.tick(0, told(reading_time))
+    [sample] = stepped.tick(0, timed_payloads(reading_time))
     assert sample.stamp == BEGIN
-    assert stepped.tick(10, told(reading_time)) == []  # a second later, the same readings
+    assert stepped.tick(10, timed_payloads(reading_time)) == []  # a second later, the same readings
     stepped.close()
 
 

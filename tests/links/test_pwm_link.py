@@ -181,16 +181,16 @@ while True:
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_host_that_dies_or_freezes_lets_go_of_the_plate(board: Board, how: signal.Signals) -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_host_that_dies_or_freezes_lets_go_of_the_plate(board: Board, number: signal.Signals) -> None:
     with subprocess.Popen([sys.executable, "-c", HOST, board.port], stdout=subprocess.PIPE) as host:
         try:
             assert host.stdout is not None
             for _ in range(20):
                 assert host.stdout.readline() == b"on\n"
             assert board.drive().pwm == pytest.approx(180, abs=0.16)
-            host.send_signal(how)
-            if how is signal.SIGKILL:
+            host.send_signal(number)
+            if number is signal.SIGKILL:
                 host.wait()
         finally:
             board.pause()  # from here on only steps count
@@ -339,7 +339,7 @@ def test_reopening_waits_longer_each_time_up_to_a_limit(monkeypatch: pytest.Monk
     assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
 
 
-def test_impossible_settings() -> None:
+def test_impossible_settings_are_refused() -> None:
     for timeout in (0.0, math.nan):
         with pytest.raises(PwmRangeError, match=f"timeout is {timeout} s"):
             LinkSettings(timeout=timeout)

@@ -90,7 +90,7 @@ LONGEST = "x" * MAX_PAYLOAD
         (b":" + b"x" * 10_000 + b"\n" + seal("Q 2"), [Damage.LENGTH, b"Q 2"]),
     ],
 )
-def test_what_a_stream_holds(stream: bytes, events: list[bytes | Damage]) -> None:
+def test_frames_and_damage_are_found_in_any_stream(stream: bytes, events: list[bytes | Damage]) -> None:
     assert FrameReader().feed(stream) == events
 
 
@@ -147,13 +147,13 @@ UNREADABLE = [b"Q 1x", b"Q 01", b"Q 65536", b"Q 99999999999999", b"Q", b"Q \xb2"
         *((payload, Refusal(1, Code.UNKNOWN)) for payload in (b"q 1", b"X 1 5", b"\xb2 1")),
     ],
 )
-def test_requests_that_are_refused(payload: bytes, answer: Refusal) -> None:
+def test_a_wrong_request_is_refused_with_its_number_and_a_code(payload: bytes, answer: Refusal) -> None:
     assert parse_request(payload) == answer
 
 
-@pytest.mark.parametrize("rest", [b"", b" 7", b" a b c d e"])
-def test_the_banner_of_another_protocol_still_names_it(rest: bytes) -> None:
-    assert parse_reply(b"B 5 9.1 2" + rest) == Banner(5, "9.1", 2, 0, 0, 0)
+@pytest.mark.parametrize("more_fields", [b"", b" 7", b" a b c d e"])
+def test_the_banner_of_another_protocol_still_names_it(more_fields: bytes) -> None:
+    assert parse_reply(b"B 5 9.1 2" + more_fields) == Banner(5, "9.1", 2, 0, 0, 0)
 
 
 REPLY = (
@@ -163,7 +163,7 @@ MORE = b"|S 01 2 3 4 5|B 1 1.0.0 1 0 1000|E 1 NONSENSE|E x CRC|P 1 5|"
 
 
 @pytest.mark.parametrize("payload", (REPLY + MORE).split(b"|"))
-def test_invalid_replies(payload: bytes) -> None:
+def test_an_invalid_reply_is_ignored(payload: bytes) -> None:
     assert parse_reply(payload) is None
 
 

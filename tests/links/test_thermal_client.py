@@ -197,7 +197,7 @@ def test_a_stream_that_goes_wrong_is_dropped(sent: bytes, kind: type[ThermalLink
         assert count(client.newest()) == 30000
 
 
-def test_a_reset_connection() -> None:
+def test_a_connection_that_is_reset_counts_as_lost() -> None:
     def script(connection: socket.socket) -> None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         connection.close()
@@ -384,7 +384,7 @@ def test_counts_are_kelvin_by_resolution() -> None:
     assert celsius(exposure([[3032]], resolution=0.1))[0, 0] == pytest.approx(30.05, abs=1e-9)
 
 
-def test_statistics_of_a_rectangle() -> None:
+def test_the_statistics_of_a_rectangle_are_those_of_its_pixels() -> None:
     counts = np.full((60, 80), 27315)
     counts[10:12, 20:22] = [[30000, 30100], [30200, 30300]]
     statistics_of_region = region(exposure(counts), Region(10, 20, 2, 2))
@@ -416,13 +416,13 @@ def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObjec
 
 
 @pytest.mark.parametrize("box", [(-1, 0, 1, 1), (0, -1, 1, 1), (0, 0, 0, 1), (0, 0, 1, 0)])
-def test_an_invalid_rectangle(box: tuple[int, int, int, int]) -> None:
+def test_an_invalid_rectangle_is_refused(box: tuple[int, int, int, int]) -> None:
     with pytest.raises(RegionError, match="start at 0 or later and contain a pixel"):
         Region(*box)
 
 
 @pytest.mark.parametrize(
-    ("taken", "roi", "message"),
+    ("image", "roi", "message"),
     [
         (exposure(np.ones((6, 8))), Region(5, 0, 2, 1), "leave the image of 6 by 8"),
         (exposure(np.ones((6, 8))), Region(0, 7, 1, 2), "leave the image of 6 by 8"),
@@ -431,6 +431,8 @@ def test_an_invalid_rectangle(box: tuple[int, int, int, int]) -> None:
         (exposure([[1]], flags=FrameFlags.NOT_RADIOMETRIC), None, "not temperatures; switch TLinear on"),
     ],
 )
-def test_where_there_are_no_temperatures(taken: Exposure, roi: Region | None, message: str) -> None:
+def test_a_region_without_temperatures_is_an_error_that_says_why(
+    image: Exposure, roi: Region | None, message: str
+) -> None:
     with pytest.raises(RegionError, match=message):
-        region(taken, roi)
+        region(image, roi)

@@ -55,10 +55,10 @@ def make_frame(shape: tuple[int, int] = LEPTON_SHAPE, **changes: Any) -> Thermal
     return ThermalFrame(**{**values, **changes})
 
 
-def same(one: ThermalFrame, other: ThermalFrame) -> bool:
-    names = [field.name for field in dataclasses.fields(one) if field.name != "image"]
-    return np.array_equal(one.image, other.image) and all(
-        getattr(one, name) == getattr(other, name) for name in names
+def same(first: ThermalFrame, second: ThermalFrame) -> bool:
+    names = [field.name for field in dataclasses.fields(first) if field.name != "image"]
+    return np.array_equal(first.image, second.image) and all(
+        getattr(first, name) == getattr(second, name) for name in names
     )
 
 
@@ -279,7 +279,7 @@ def test_an_image_cannot_be_changed() -> None:
         decoded(encode_frame(frame)).image[0, 0] = 1
 
 
-def test_invalid_exposures() -> None:
+def test_exposures_of_a_wrong_shape_type_or_state_are_refused() -> None:
     for image in (np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]):
         with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
             Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)  # type: ignore[arg-type]
@@ -287,7 +287,7 @@ def test_invalid_exposures() -> None:
         make_frame((2, 3), flat_field=3)
 
 
-def test_frozen_and_radiometric() -> None:
+def test_a_running_flat_field_freezes_and_gain_control_leaves_no_temperatures() -> None:
     assert make_frame((2, 3), flat_field=FlatField.RUNNING).frozen
     assert not make_frame((2, 3), flat_field=FlatField.IMMINENT).frozen
     assert make_frame((2, 3)).radiometric

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
-from twinmatch.nodes.controller import ControllerNode
+from twinmatch.control import Loop
 from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch_msgs.msg import LoopSample, PlantCommand, PlantReading, PwmApplied, PwmCommand
@@ -196,14 +196,14 @@ def test_the_last_word_is_zero(start_process: Start, bench: Bench, number: signa
 
 
 def test_a_defect_commands_zero_first(start: Start, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    tick = ControllerNode._on_tick
+    tick = Loop.tick
 
-    def defect(node: ControllerNode) -> None:
-        tick(node)
-        if node._loop.time > 3:
+    def defect(loop: Loop, *arguments: Any) -> Any:
+        if loop.time > 3:
             raise RuntimeError("fell over")
+        return tick(loop, *arguments)
 
-    monkeypatch.setattr(ControllerNode, "_on_tick", defect)
+    monkeypatch.setattr(Loop, "tick", defect)
     process = start("controller", "-p", "period:=0.2")
     bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
     bench.feed(lambda: not process.running, "the end")

@@ -99,11 +99,11 @@ def there_and_back(message: Any) -> Any:
     return deserialize_message(serialize_message(message), type(message))
 
 
-def same(found: Any, expected: Any) -> None:
+def same(converted: Any, expected: Any) -> None:
     """Equal field by field, arrays by value and shape, NaN equal to NaN."""
-    assert type(found) is type(expected)
+    assert type(converted) is type(expected)
     for field in dataclasses.fields(expected):
-        value = getattr(found, field.name)
+        value = getattr(converted, field.name)
         wanted = getattr(expected, field.name)
         if isinstance(wanted, np.ndarray):
             np.testing.assert_array_equal(value, wanted, strict=True)
@@ -112,7 +112,7 @@ def same(found: Any, expected: Any) -> None:
 
 
 @given(SAMPLES)
-def test_sample(sample: Sample) -> None:
+def test_a_sample_survives_its_message(sample: Sample) -> None:
     message = there_and_back(sample_message(sample, "rig"))
     assert message.header.frame_id == "rig"
     assert repr(sample_from(message)) == repr(sample)
@@ -151,7 +151,7 @@ def reports(draw: st.DrawFn) -> MatchReport:
 
 @given(report=reports(), stamp=STAMPS)
 @pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt:RuntimeWarning")
-def test_match(report: MatchReport, stamp: int) -> None:
+def test_a_match_survives_its_message_with_status_and_stamp(report: MatchReport, stamp: int) -> None:
     message = there_and_back(message_of(report, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.status_name == report.match.status.value
@@ -180,7 +180,9 @@ def requests(draw: st.DrawFn) -> MatchRequest:
 
 
 @given(request=requests(), stamp=STAMPS)
-def test_request(request: MatchRequest, stamp: int) -> None:
+def test_a_request_for_a_match_survives_its_message_with_its_window(
+    request: MatchRequest, stamp: int
+) -> None:
     message = there_and_back(request_message(request, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     converted = request_from(message)
@@ -221,7 +223,7 @@ def verdicts(draw: st.DrawFn) -> Verdict:
 
 
 @given(verdict=verdicts(), stamp=STAMPS)
-def test_verdict(verdict: Verdict, stamp: int) -> None:
+def test_a_verdict_survives_its_message_with_level_and_stamp(verdict: Verdict, stamp: int) -> None:
     message = there_and_back(message_of(verdict, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.level_name == verdict.level.value
@@ -229,7 +231,7 @@ def test_verdict(verdict: Verdict, stamp: int) -> None:
 
 
 @given(CANDIDATES)
-def test_candidate(candidate: CandidateScore) -> None:
+def test_a_candidate_survives_its_message(candidate: CandidateScore) -> None:
     message = there_and_back(message_of(candidate))
     same(object_of(CandidateScore, tree_of_message(message)), candidate)
 
@@ -245,8 +247,7 @@ STATES = st.dictionaries(st.sampled_from(NAMES), ANY)
         | {"sample": SAMPLES, "closed_states": STATES, "driven_states": STATES},
     )
 )
-def test_state(state: MirrorState) -> None:
-    """Every figure of the mirror is in the message under its own name."""
+def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(state: MirrorState) -> None:
     message = there_and_back(state_message(state, "50 °C", NAMES))
     assert (message.index, message.leader) == (state.sample.index, "50 °C")
     assert repr(list(message.reference)) == repr(list(state.sample.references))
@@ -260,7 +261,7 @@ def test_state(state: MirrorState) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message_part"),
     [
         ({"plant": "fridge"}, "plant 'fridge': not known; choose from peltier"),
         (
@@ -272,11 +273,11 @@ def test_state(state: MirrorState) -> None:
         ({"plant": "", "names": [], "values": []}, "the message holds none"),
     ],
 )
-def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], said: str) -> None:
+def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], message_part: str) -> None:
     message = parameters_message(Peltier.model().parameters())
     for name, value in spoil.items():
         setattr(message, name, value)
-    with pytest.raises(PlantError, match=said):
+    with pytest.raises(PlantError, match=message_part):
         parameters_from(message)
 
 

@@ -15,7 +15,7 @@ from twinmatch.nodes.samples import SampleWatch, Standstill
 from twinmatch.showing.page.health import NodeReport, NodeReports, PlayerState
 
 
-def test_nothing_to_warn_about() -> None:
+def test_without_a_warning_a_node_reports_that_it_works_with_its_values() -> None:
     health = NodeHealth()
     health.set("rate", 0.1)
     health.set("name", "plate")
@@ -36,7 +36,7 @@ def test_worst_warning_is_the_level_and_comes_first() -> None:
     assert health.report().level is Level.OK
 
 
-def test_counters() -> None:
+def test_what_is_counted_is_reported_as_a_number() -> None:
     health = NodeHealth()
     health.count("gaps")
     health.count("gaps")
@@ -44,14 +44,14 @@ def test_counters() -> None:
 
 
 @pytest.mark.parametrize("level", list(Level))
-def test_message(level: Level) -> None:
+def test_a_report_becomes_a_diagnostic_with_its_level_and_values(level: Level) -> None:
     message = status_message("matcher: health", Report(level, "as said", {"key": "value"}))
     assert message.level == bytes([level])
     assert (message.name, message.message) == ("matcher: health", "as said")
     assert [(entry.key, entry.value) for entry in message.values] == [("key", "value")]
 
 
-def test_watch_of_gaps_and_silence() -> None:
+def test_gaps_and_silence_are_reported_and_withdrawn_in_time() -> None:
     health = NodeHealth()
     watch = SampleWatch(health, period=1.0, patience=5, remember=2)
     watch.check(1000.0)

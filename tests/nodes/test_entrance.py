@@ -41,6 +41,7 @@ from twinmatch.nodes.entrance import ALONE, Course, Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
+from twinmatch.nodes.past import PAST
 from twinmatch.nodes.topics import EVERYTHING, NEWEST
 from twinmatch.nodes.twin import MAX_WAITING
 from twinmatch.plants import Peltier
@@ -52,6 +53,7 @@ from twinmatch.showing.terminal import Screen
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchReport, MatchRequest, carry_out
 from twinmatch_msgs import msg as messages
+from twinmatch_msgs.srv import Past
 
 pytestmark = pytest.mark.ros
 
@@ -155,7 +157,7 @@ def test_a_message_of_default_values_is_refused(kind: Any) -> None:
         check(kind())
 
 
-def at(index: int, seconds: float = 0.0) -> messages.LoopSample:
+def sample_at(index: int, seconds: float = 0.0) -> messages.LoopSample:
     return sample_message(Sample(index, round(seconds * 1e9), 0.0, 0.0, 0.0))
 
 
@@ -174,7 +176,7 @@ def passed(course: Course, *indices: int) -> list[int]:
     followed = []
     for index in indices:
         try:
-            course.follow(at(index, index), time.monotonic())
+            course.follow(sample_at(index, index), time.monotonic())
         except MessageError:
             continue
         followed.append(index)
@@ -198,7 +200,7 @@ def test_samples_that_go_back_are_refused(course: Course) -> None:
 def test_an_index_does_not_run_ahead_of_its_stamp(course: Course) -> None:
     assert passed(course, 0, 1) == [0, 1]
     with pytest.raises(MessageError, match="sample 1000000 came 1 s after sample 1"):
-        course.follow(at(1_000_000, 2.0), time.monotonic())
+        course.follow(sample_at(1_000_000, 2.0), time.monotonic())
     assert passed(course, 2) == [2]
 
 
@@ -231,8 +233,8 @@ class ClockCourse(Course):
         self.now = 1000.0
         self._several = False
 
-    def meet(self, *there: bytes) -> None:
-        self.others.there = frozenset(there)
+    def meet(self, *publishers: bytes) -> None:
+        self.others.there = frozenset(publishers)
         self._several = True
 
     def seen(self) -> bool:
@@ -650,7 +652,11 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
     listener.spin_until(refused, "the refusal")
     if late:
         keeper = next(node for node in reader.nodes if node.NAME == "keeper")
-        listener.spin_until(lambda: all(map(len, keeper._store.messages.values())), "the keeper")
+
+        def kept(topic: str) -> int:
+            return int(keeper.health.report().values.get(topic, "0"))
+
+        listener.spin_until(lambda: kept("twin/match") and kept("twin/model_score"), "the keeper")
         before = listener.samples.get_subscription_count()
         start("recorder", *arguments)
         listener.spin_until(lambda: listener.samples.get_subscription_count() > before, "the recorder")
@@ -674,13 +680,20 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
         scores.publish(message_of(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
     key = "twin/model_score: more than samples"
     listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
-    assert len(keeper._store.messages[messages.ModelScore]) == 100
+    assert keeper.report().values["twin/model_score"] == "100"
 
 
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.nodes.samples.SampleNode.MAX_QUEUED", -1)
+    requests: list[Past.Request] = []
+
+    def answer(request: Past.Request, nothing: Past.Response) -> Past.Response:
+        requests.append(request)
+        return nothing
+
+    listener.node.create_service(Past, PAST, answer)
     (node,) = start("twin_simulator").nodes
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])
@@ -689,5 +702,5 @@ def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     )
     monkeypatch.undo()
     listener.send(steps[30:31])
-    listener.spin_until(lambda: node._stream.missing, "the wish for the others")
-    assert node._stream.missing == range(30)
+    listener.spin_until(lambda: requests, "the wish for the others")
+    assert (requests[0].first, requests[0].count) == (0, 30)

@@ -191,8 +191,8 @@ def test_what_is_shown_holds_every_horizon(
     assert list(shown) == sorted(set(shown))
 
 
-def _answered(given: WhatIf.Response) -> WhatIf.Response | None:
-    return given if given.success else None
+def _answered(answer: WhatIf.Response) -> WhatIf.Response | None:
+    return answer if answer.success else None
 
 
 def _identity(leader: ForecastScore) -> tuple[object, ...]:

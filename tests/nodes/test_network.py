@@ -88,7 +88,7 @@ def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.M
         prepare({"AMENT_PREFIX_PATH": "/nowhere", LEASE: "long"})
 
 
-def test_closed_with_another_middleware() -> None:
+def test_a_middleware_that_cannot_be_restricted_to_this_machine_is_refused() -> None:
     with pytest.raises(
         NetworkError, match="rmw_cyclonedds_cpp, which twinmatch cannot restrict to this machine"
     ):
@@ -106,12 +106,12 @@ def test_without_a_home_no_logs_are_written(environment: dict[str, str]) -> None
     assert log_arguments(environment) == ["--ros-args", "--disable-external-lib-logs"]
 
 
-@pytest.mark.parametrize("given", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
-def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
-    environment = dict(given)
+@pytest.mark.parametrize("variables", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
+def test_a_place_for_logs_is_kept(variables: dict[str, str]) -> None:
+    environment = dict(variables)
     assert log_arguments(environment) == []
     prepare(environment)
-    assert environment.get("ROS_LOG_DIR") == given.get("ROS_LOG_DIR")
+    assert environment.get("ROS_LOG_DIR") == variables.get("ROS_LOG_DIR")
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,9 @@ def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
         (socket.AF_INET6, "::ffff:127.0.0.1", None),
     ],
 )
-def test_whose_sockets_are_elsewhere(family: int, address: str, shown: str | None) -> None:
+def test_udp_sockets_that_other_machines_reach_are_listed(
+    family: int, address: str, shown: str | None
+) -> None:
     before = set(sockets_elsewhere())
     with socket.socket(family, socket.SOCK_DGRAM) as bound:
         try:

@@ -52,7 +52,7 @@ TABLE = (
 )
 
 
-def test_defaults() -> None:
+def test_parameters_that_are_not_given_have_their_defaults() -> None:
     assert check("node", TABLE, {}) == {p.name: p.default for p in TABLE}
 
 
@@ -99,7 +99,9 @@ def test_whole_numbers_become_float64() -> None:
         ("parts", [1], "node: parameter parts is [1]; every item must be text"),
     ],
 )
-def test_refusals(name: str, value: Any, message: str) -> None:
+def test_a_wrong_name_type_or_value_is_refused_with_what_is_allowed(
+    name: str, value: Any, message: str
+) -> None:
     with pytest.raises(ParameterError) as caught:
         check("node", TABLE, {name: value})
     assert str(caught.value).startswith(message)

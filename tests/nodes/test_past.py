@@ -27,7 +27,7 @@ def sample(index: int) -> Sample:
 
 
 @contextmanager
-def kept(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
+def limited_store(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
     """A store that gives so many at a time."""
     with pytest.MonkeyPatch.context() as patch, closing(RunStore()) as store:
         patch.setattr(keeper.RunStore, "MAX_SAMPLES", samples)
@@ -64,7 +64,7 @@ def test_every_sample_comes_once_and_in_order(ticks: list[tuple[int, bool, int]]
     out: list[int] = []
     produced: list[int] = []
     stream = Stream(lambda s: out.append(s.index))
-    with kept(most) as store:
+    with limited_store(most) as store:
         for step, arrives, answers in [*ticks, (1, True, 0)]:
             produced.append(produced[-1] + step if produced else step - 1)
             store.samples.push(sample(produced[-1]))
@@ -82,7 +82,7 @@ def test_a_keeper_that_lags_is_asked_again() -> None:
     stream = Stream(lambda s: out.append(s.index))
     stream.push(sample(2))
     assert stream.missing == range(2)
-    with kept() as store:
+    with limited_store() as store:
         assert not answered(stream, store)  # it has received nothing yet
         store.samples.push(sample(0))
         assert answered(stream, store)
@@ -118,25 +118,25 @@ NAMES = "sample", "match", "score"
 
 
 @given(
-    made=st.sets(st.integers(0, 29)).map(lambda found: found | {30}),
+    produced=st.sets(st.integers(0, 29)).map(lambda found: found | {30}),
     about=st.tuples(*[st.lists(st.integers(0, 29), max_size=20)] * 2),
     begin=st.integers(1, 30),
     live=st.tuples(*[st.integers(0, 20)] * 2),
     most=st.tuples(*[st.integers(1, 12)] * 2),
 )
 def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
-    made: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
+    produced: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
 ) -> None:
     """It never lacks a message about a sample before its last, whatever arrived live, and how late."""
     written: list[tuple[str, bytes]] = []
     past = RecorderPast(NAMES, lambda name, data, _: written.append((name, data)))
-    samples = [sample(index) for index in sorted(made)]
+    samples = [sample(index) for index in sorted(produced)]
     serialised = []
     for kind, indices_of_kind in zip(KINDS, about, strict=True):
-        sampled = sorted(set(indices_of_kind) & made)
+        sampled = sorted(set(indices_of_kind) & produced)
         messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
         serialised.append(list(map(serialize_message, messages)))
-    with kept(*most) as store:
+    with limited_store(*most) as store:
         for live_sample in samples:
             store.samples.push(live_sample)
         for kind, of_kind in zip(KINDS, serialised, strict=True):
@@ -183,7 +183,8 @@ def test_no_message_is_written_twice_or_lost_wherever_fetched_and_live_ones_over
         copies.add("verdicts", message)
     live = [message for message in stream[begin:] if not copies.found("verdicts", lambda m=message: m)]
     assert stream[:fetched] + live == stream
-    assert fetched == messages or not copies._fetched
+    if fetched < messages:  # after the first new one, nothing is compared
+        assert not copies.found("verdicts", lambda: pytest.fail("its values are not wanted"))
     assert not copies.found("matches", lambda: "0")
 
 

@@ -114,7 +114,9 @@ def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_pa
     assert player.wait() == 0
 
 
-def test_end_is_on_diagnostics(start: Start, listener: Listener, tmp_path: Path) -> None:
+def test_the_end_is_reported_with_the_number_of_messages(
+    start: Start, listener: Listener, tmp_path: Path
+) -> None:
     path = write_session(tmp_path / "short", counted(20, 0.1))
     listener.hear(LoopSample, "plant/sample", EVERYTHING)
     assert not listener.health
@@ -133,12 +135,12 @@ def test_recorded_namespace_gives_way_to_the_players(start: Start, listener: Lis
 
 
 @pytest.mark.parametrize("kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"])
-def test_types_that_are_not_installed(kind: str) -> None:
+def test_a_type_that_is_not_installed_is_named_with_its_topic(kind: str) -> None:
     with pytest.raises(PlayerError, match=f"player: /x: the type {kind} is not installed here"):
         class_of(Topic("/x", kind, "", ""))
 
 
-def test_recorded_quality_of_service() -> None:
+def test_a_topic_is_played_with_the_quality_of_service_it_was_recorded_with() -> None:
     profile = playing_profile(Qos("reliable", "transient_local", 1))
     assert (profile.durability, profile.depth) == (DurabilityPolicy.TRANSIENT_LOCAL, 1)
     assert profile.reliability == ReliabilityPolicy.RELIABLE

@@ -38,7 +38,7 @@ class Bench:
 
     def __init__(self, board: Any, link: LinkSettings = PATIENT) -> None:
         self.board = board
-        self.told: list[tuple[Applied | None, int]] = []
+        self.reports: list[tuple[Applied | None, int]] = []
         self.health = NodeHealth()
         self.gate = OutputGate(
             self._clocks, [OutputGuard(GuardLimits(command_timeout=3.0, temperature_timeout=10.0))]
@@ -69,8 +69,8 @@ class Bench:
 
     def stays_at_zero(self) -> None:
         """For a while, which the driver uses to look at the board several times."""
-        count_before = len(self.told)
-        while len(self.told) < count_before + 3:
+        count_before = len(self.reports)
+        while len(self.reports) < count_before + 3:
             assert self.board.drive().pwm == 0.0
             time.sleep(0.01)
 
@@ -92,7 +92,7 @@ class Bench:
     def _tell(self, applied: Applied | None, sample: int) -> None:
         if self.fail_to_tell:
             raise RuntimeError("the report cannot be delivered")
-        self.told.append((applied, sample))
+        self.reports.append((applied, sample))
 
     def _feed(self) -> None:
         while not self._ending.wait(0.02):
@@ -118,15 +118,15 @@ def stand_in() -> Iterator[Bench]:
 
 
 def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
-    bench.until(lambda: bench.told)
-    assert bench.told[0][0] is not None
-    assert bench.told[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
+    bench.until(lambda: bench.reports)
+    assert bench.reports[0][0] is not None
+    assert bench.reports[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
     bench.drive(120.0)
-    count_before = len(bench.told)
+    count_before = len(bench.reports)
     deadline = time.monotonic() + 1.1 * DEADLINE
-    bench.until(lambda: len(bench.told) > count_before + 15 and time.monotonic() > deadline)
+    bench.until(lambda: len(bench.reports) > count_before + 15 and time.monotonic() > deadline)
     assert bench.gate.fault is None
-    applied, sample = bench.told[-1]
+    applied, sample = bench.reports[-1]
     assert applied is not None
     assert (applied.pwm, applied.flags, sample) == (120, Flags.ENABLED, 42)
     bench.drive(-80.0)
@@ -180,7 +180,7 @@ def test_an_idle_board_that_restarts_latches_too(bench: Bench) -> None:
 def test_the_end_is_an_acknowledged_zero(bench: Bench) -> None:
     bench.drive(200.0)
     assert bench.driver.close(30.0)
-    applied, _ = bench.told[-1]
+    applied, _ = bench.reports[-1]
     assert applied is not None
     assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)  # it was commanded, its deadline had not passed
     assert not bench.link.is_open
@@ -212,16 +212,18 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
     descriptor = os.open(stand_in.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     noise = [b":S 1 2 3*0000\n", b"\xff\x00garbage\n", b":S 65535 0 255 0 1*", b"\n\n::", b":E - CRC*12\n"]
     try:
-        count_before = len(stand_in.told)
+        count_before = len(stand_in.reports)
         for number in range(40):
             stand_in.board._line.write(noise[number % 5])
             os.write(descriptor, noise[(number + 2) % 5])
             time.sleep(0.02)
     finally:
         os.close(descriptor)
-    stand_in.until(lambda: len(stand_in.told) > count_before + 5)
+    stand_in.until(lambda: len(stand_in.reports) > count_before + 5)
     if stand_in.gate.fault is None:
-        assert all(applied is not None and applied.pwm == 120 for applied, _ in stand_in.told[count_before:])
+        assert all(
+            applied is not None and applied.pwm == 120 for applied, _ in stand_in.reports[count_before:]
+        )
     else:  # a request may be unlucky three times; then it is a lost link, and nothing else
         assert stand_in.kind() is FaultKind.LINK
 
@@ -275,11 +277,11 @@ def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(
     stand_in.drive(120.0)
     command = stand_in.link.command
 
-    def other(pwm: float) -> Applied:
+    def half_of_the_command(pwm: float) -> Applied:
         applied = command(pwm)
         return Applied(applied.pwm // 2, applied.current, applied.flags, applied.device_time)
 
-    monkeypatch.setattr(stand_in.link, "command", other)
+    monkeypatch.setattr(stand_in.link, "command", half_of_the_command)
     stand_in.until(lambda: stand_in.kind() is FaultKind.BOARD)
     assert "applies 60, but 120 was sent" in str(stand_in.gate.fault)
 

@@ -512,7 +512,9 @@ def test_with_simulated_time_the_times_are_those_of_the_clock(
         ("/thermal/image", "/", False),
     ],
 )
-def test_topics_are_chosen(name: str, namespace: str, expected: bool) -> None:
+def test_topics_of_the_own_rig_and_those_named_are_recorded_and_no_others(
+    name: str, namespace: str, expected: bool
+) -> None:
     assert wanted(name, namespace, ["/diagnostics"], ["thermal/"]) is expected
 
 

@@ -198,7 +198,9 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Start) -> 
         ),
     ],
 )
-def test_wrong_command_line(capfd: pytest.CaptureFixture[str], words: list[str], line: str) -> None:
+def test_a_wrong_command_line_is_one_line_and_exit_code_two(
+    capfd: pytest.CaptureFixture[str], words: list[str], line: str
+) -> None:
     assert run_here(*words) == 2
     printed = capfd.readouterr().err
     assert printed.splitlines()[-1].startswith(line)
@@ -235,11 +237,11 @@ REFUSED: tuple[tuple[str, str, str], ...] = (
 """Program, parameters, and what it says of them."""
 
 
-@pytest.mark.parametrize(("name", "given", "line"), REFUSED)
+@pytest.mark.parametrize(("name", "assignments", "line"), REFUSED)
 def test_parameters_that_are_refused_are_one_line_and_exit_code_two(
-    start: Start, session: Path, name: str, given: str, line: str
+    start: Start, session: Path, name: str, assignments: str, line: str
 ) -> None:
-    words = given.replace("SESSION", str(session)).split()
+    words = assignments.replace("SESSION", str(session)).split()
     process = start(name, *(word for parameter in words for word in ("-p", parameter)))
     assert process.wait() == 2
     assert line in process.text

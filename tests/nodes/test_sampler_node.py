@@ -50,16 +50,18 @@ class Beside:
     def rig(self, *options: str) -> Process:
         return self._processes.python(RIG, "--period", f"{PERIOD}", *options)
 
-    def sampler(self, **given: str) -> Inside:
+    def sampler(self, **parameters: str) -> Inside:
         words = [f"plant:={self._plant}", f"period:={PERIOD}"]
-        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in given]
-        words += [f"{name.replace('__', '.')}:={text}" for name, text in given.items() if name not in MAP]
-        words += [f"map.{name}:='{text}'" for name, text in given.items() if name in MAP and text]
+        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in parameters]
+        words += [
+            f"{name.replace('__', '.')}:={text}" for name, text in parameters.items() if name not in MAP
+        ]
+        words += [f"map.{name}:='{text}'" for name, text in parameters.items() if name in MAP and text]
         options = [option for word in words for option in ("-p", word)]
         return self._start("sampler", *options)
 
-    def wait_for_samples(self, more: int) -> None:
-        wanted = len(self.samples) + more
+    def wait_for_samples(self, count: int) -> None:
+        wanted = len(self.samples) + count
         self.listener.spin_until(lambda: len(self.samples) >= wanted, self.said)
 
     def wait_for_word(self, words: str) -> None:
@@ -93,7 +95,7 @@ def beside(processes: Processes, start: Any, listener: Listener, plant: Path) ->
     return Beside(processes, start, listener, plant)
 
 
-def taken(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
+def numbers_of(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
     return [(m.reference[0], m.output[0], m.input[0]) for m in messages]
 
 
@@ -102,7 +104,7 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Besi
     beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_samples(60)
     rows_of_rig = {tuple(line) for line in rig.json}
-    pairs = taken(beside.samples)
+    pairs = numbers_of(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples]
@@ -176,7 +178,7 @@ def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(bes
     )
     by_name = {"output": "/joints:position[elbow]", "input": "/joints:effort[elbow]", "reference": ""}
     passed_on(beside, beside.sampler(**by_name, use_sim_time="true"), {"/joints": JointState}, sent)
-    assert [(output, command) for _, output, command in taken(beside.samples)] == [
+    assert [(output, command) for _, output, command in numbers_of(beside.samples)] == [
         (20.0 + k, 20.0 + k) for k in range(20)
     ]
 
@@ -193,7 +195,7 @@ def test_an_index_that_means_another_joint_is_reported_and_not_sampled(beside: B
         "/joints:position[0] is elbow in one message and gripper in another; choose it by name: "
         "/joints:position[elbow]; other messages are left out"
     )
-    assert [output for _, output, _ in taken(beside.samples)] == [20.0 + k for k in range(10)]
+    assert [output for _, output, _ in numbers_of(beside.samples)] == [20.0 + k for k in range(10)]
 
 
 def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(beside: Beside) -> None:
@@ -219,9 +221,9 @@ BOTH = {
 """Two heaters and two sensors, by the names of the plant file and by their numbers."""
 
 
-def sampler_of_both(start: Any, folder: Path, **more: Any) -> Inside:
+def sampler_of_both(start: Any, folder: Path, **changed: Any) -> Inside:
     """Its parameters are in a file: ROS takes no name with a number on a command line."""
-    parameters = {"plant": "tclab-both", "period": PERIOD, **BOTH, **more}
+    parameters = {"plant": "tclab-both", "period": PERIOD, **BOTH, **changed}
     file = folder / "both.yaml"
     file.write_text(yaml.safe_dump({"sampler": {"ros__parameters": parameters}}))
     return start("sampler", "--params-file", f"{file}")
@@ -254,7 +256,7 @@ def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any,
 def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
     """0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6."""
     ticks = in_step(beside, 3 * HOLD)
-    assert taken(beside.samples) == ticks
+    assert numbers_of(beside.samples) == ticks
     assert [message.index for message in beside.samples] == list(range(len(ticks)))
     twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
     outcomes = [twin.push(sample_from(message)) for message in beside.samples]
@@ -290,7 +292,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     assert sampler.running
     # The new rig begins cold, at its first set-point; nothing of the old one is mixed in.
     rows_of_rig = {tuple(line) for line in rig.json}
-    pairs = taken(beside.samples[begun + 1 :])
+    pairs = numbers_of(beside.samples[begun + 1 :])
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
 
 

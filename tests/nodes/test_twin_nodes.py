@@ -179,10 +179,10 @@ def test_a_defect_ends_no_node_and_is_said_by_verdict_and_diagnostics(
 ) -> None:
     real = engine.verdict_of
 
-    def broken(known: Knowledge) -> Verdict:
-        if known.sample == 119:
+    def broken(knowledge: Knowledge) -> Verdict:
+        if knowledge.sample == 119:
             raise ZeroDivisionError("a slip")
-        return real(known)
+        return real(knowledge)
 
     monkeypatch.setattr(engine, "verdict_of", broken)
     heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)

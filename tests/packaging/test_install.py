@@ -88,9 +88,9 @@ def test_package_xml_names_what_pyproject_needs() -> None:
 
 
 @pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
-@pytest.mark.parametrize(("release", "other"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
+@pytest.mark.parametrize(("release", "other_extra"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
 def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
-    release: str, other: str, version: str
+    release: str, other_extra: str, version: str
 ) -> None:
     """For every Python, and one that pyproject.toml agrees with."""
     environment = {
@@ -111,7 +111,7 @@ def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
     pinned = {canonicalize_name(requirement.name): requirement.specifier for requirement in asked(lines)}
     assert len(pinned) == len(asked(lines)), "one version of each"
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
-    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other}
+    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other_extra}
     wanted = asked([*project["build-system"]["requires"], *project["project"]["dependencies"], "uv"])
     wanted += [
         requirement
@@ -163,7 +163,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return check_machine
 
 
-def test_complete_machine(machine: ModuleType) -> None:
+def test_on_a_complete_machine_nothing_is_reported_missing(machine: ModuleType) -> None:
     assert machine.missing() is None
 
 
@@ -203,12 +203,12 @@ def test_installed_message_is_up_to_date(source: Path) -> None:
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
-def test_message_round_trip(source: Path) -> None:
+def test_every_message_survives_its_serialisation(source: Path) -> None:
     _there_and_back(getattr(importlib.import_module("twinmatch_msgs.msg"), source.stem))
 
 
 @pytest.mark.parametrize("source", SERVICES, ids=lambda path: path.stem)
-def test_service_round_trip(source: Path) -> None:
+def test_every_service_survives_its_serialisation(source: Path) -> None:
     kind = getattr(importlib.import_module("twinmatch_msgs.srv"), source.stem)
     _there_and_back(kind.Request)
     _there_and_back(kind.Response)
@@ -245,7 +245,7 @@ rclpy.shutdown()
     assert (completed.returncode, completed.stdout, completed.stderr) == (0, "", "")
 
 
-def test_no_single_precision() -> None:
+def test_messages_have_double_precision_alone() -> None:
     """A float32 would round, and live and replayed verdicts would differ."""
     for source in SOURCES + SERVICES:
         assert not re.search(r"^float32", source.read_text(), re.MULTILINE), source.name

@@ -97,7 +97,9 @@ def test_code_and_files_are_those_of_the_wheel(installed: Path, programs: Proces
     assert all(Path(line).is_relative_to(installed.parent) for line in process.lines)
 
 
-def test_a_plant_is_begun(installed: Path, programs: Processes, tmp_path: Path) -> None:
+def test_an_installed_program_begins_a_file_of_a_plant(
+    installed: Path, programs: Processes, tmp_path: Path
+) -> None:
     process = programs.start(installed / "twinmatch", "new-plant", "tank", folder=tmp_path)
     assert process.wait() == 0, process.text
     assert (tmp_path / "tank.py").exists()

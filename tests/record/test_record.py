@@ -112,7 +112,7 @@ def test_the_method_says_how_to_read_every_field(name: str) -> None:
     assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
 
 
-def test_there_and_back() -> None:
+def test_records_survive_their_trees() -> None:
     assert repr(object_of(Verdict, tree_of(VERDICT))) == repr(VERDICT)
     read_back = object_of(MatchReport, tree_of(report()))
     assert repr(read_back) == repr(report())
@@ -177,19 +177,19 @@ def test_every_bit_counts() -> None:
 
 
 @given(st.floats(), st.floats())
-def test_floats_are_compared_by_their_bits(one: float, other: float) -> None:
-    has_same_bits = struct.pack("<d", one) == struct.pack("<d", other) or (
-        math.isnan(one) and math.isnan(other)
+def test_floats_are_compared_by_their_bits(first: float, second: float) -> None:
+    has_same_bits = struct.pack("<d", first) == struct.pack("<d", second) or (
+        math.isnan(first) and math.isnan(second)
     )
-    assert (not list(differences({"a": [one]}, {"a": [other]}))) is has_same_bits
+    assert (not list(differences({"a": [first]}, {"a": [second]}))) is has_same_bits
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "found"),
+    ("first", "second", "expected"),
     [
         ({"a": 1}, {"b": 1}, [("a", 1, None), ("b", None, 1)]),
         ([1], [1, 2], [("", [1], [1, 2])]),
     ],
 )
-def test_missing_fields_are_differences(one: Any, other: Any, found: Any) -> None:
-    assert list(differences(one, other)) == found
+def test_missing_fields_are_differences(first: Any, second: Any, expected: Any) -> None:
+    assert list(differences(first, second)) == expected

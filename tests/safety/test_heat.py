@@ -225,7 +225,7 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "message"),
+    ("parameters", "message"),
     [
         ("losses", "known has 'losses'; write it as losses = 11.3"),
         ("losses = a lot", "known has 'losses = a lot'"),
@@ -234,9 +234,9 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
         ("losses = 11, heating = 5", "heating = 5; allowed: 0.001 to 0.05"),
     ],
 )
-def test_what_is_known_of_a_plant_is_checked(known: str, message: str) -> None:
+def test_what_is_known_of_a_plant_is_checked(parameters: str, message: str) -> None:
     with pytest.raises(SafetyError, match=message):
-        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=known)))
+        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=parameters)))
 
 
 def test_of_a_known_kit_each_heater_has_its_power() -> None:
@@ -335,15 +335,15 @@ def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
     ceiling = Ceiling(12.5, np.ones(1))
     random = np.random.default_rng(1)
 
-    def at(warmth: float, lie: float) -> float:
+    def error_at(warmth: float, lie: float) -> float:
         """How far the estimate is off; `warmth` is the typical plant's, above a room of 20 °C."""
         reading = 20.0 + 0.5 * warmth - lie + 0.1 * random.standard_normal()
         ceiling.take(np.array([warmth]), 20.0 + warmth, reading, 60.0)
         return ceiling.estimate - (20.0 + 0.5 * warmth)
 
     for k in range(400):
-        at(40.0 if k % 100 > 20 else 10.0, 0.0)
-    errors = [at(40.0 + 0.05 * k, 0.05 * k) for k in range(600)]
+        error_at(40.0 if k % 100 > 20 else 10.0, 0.0)
+    errors = [error_at(40.0 + 0.05 * k, 0.05 * k) for k in range(600)]
     assert max(errors) - min(errors) < 3.0
     assert min(errors) > 0.0  # the doubt of the start is on the safe side
     assert ceiling.off < -5.0 or ceiling.share < 1.0
@@ -358,7 +358,7 @@ def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
     ],
     ids=["a reading that is not believed", "one far from the estimate", "under a limit"],
 )
-def test_nothing_is_learned_from(change: Callable[[Ceiling], None]) -> None:
+def test_nothing_is_learned_from_readings_that_may_be_false(change: Callable[[Ceiling], None]) -> None:
     ceiling = Ceiling(12.5, np.full(1, 0.1), seen=True)
     change(ceiling)
     ceiling.take(np.array([40.0]), 60.0, 60.0, 60.0, learns=False)

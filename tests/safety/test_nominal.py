@@ -33,7 +33,7 @@ def test_where_nothing_holds_the_plant_it_rests_in_the_middle_of_its_set_points(
     assert nominal_eigenvalue(typical, GAINS, [1e4]) == nominal_eigenvalue(typical, GAINS, []) == middle
 
 
-def test_several_loops_are_one() -> None:
+def test_several_loops_have_one_nominal_eigenvalue_and_are_stable() -> None:
     law = law_of(TCLabBoth, 1.0)
     assert 0.9 < nominal_eigenvalue(TCLabBoth.model().typical(), law, [40.0, 40.0]) < 1.0
 

@@ -89,7 +89,7 @@ def test_the_first_fault_is_the_one_reported() -> None:
     assert "above 110 °C" in guard.fault.message
 
 
-def test_runaway_latches() -> None:
+def test_full_drive_without_an_effect_latches() -> None:
     guard = armed()
     for k in range(200):
         time = k * 0.5
@@ -208,10 +208,12 @@ def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if
 def test_every_reading_of_a_real_hour_is_believed(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
-    guard = OutputGuard()
+    """If one were not, the one before it would be too old when the command passes."""
+    guard = OutputGuard(GuardLimits(temperature_timeout=1.5))
     for k, temperature in enumerate(recorded_hour(number).output):
         guard.temperature(float(temperature), float(k))
-        assert not guard._doubted
+        guard.command(1.0, k + 0.9)
+        assert guard.output(k + 0.9) == 1.0
 
 
 events = st.one_of(
@@ -291,12 +293,12 @@ def test_a_healthy_loop_raises_nothing_in_both_directions() -> None:
     assert first_alarm(both_ways, lambda _, u: u) == 900
 
 
-@pytest.mark.parametrize(("at", "within"), [(20, 90), (320, 90)])
-def test_a_lost_drive_is_found_while_heating_and_while_cooling(at: int, within: int) -> None:
-    alarm = first_alarm(both_ways, lambda k, u: u if k < at else 0.0)
+@pytest.mark.parametrize(("onset", "within"), [(20, 90), (320, 90)])
+def test_a_lost_drive_is_found_while_heating_and_while_cooling(onset: int, within: int) -> None:
+    alarm = first_alarm(both_ways, lambda k, u: u if k < onset else 0.0)
     # While cooling towards 25 °C a plate without drive still cools by itself; the alarm may only come
     # with the next heating.
-    assert at < alarm < (at + within if at < 300 else 600 + within)
+    assert onset < alarm < (onset + within if onset < 300 else 600 + within)
 
 
 def test_a_reversed_cable_is_found_at_once() -> None:

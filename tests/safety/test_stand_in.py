@@ -68,18 +68,18 @@ def test_the_first_estimate_may_come_a_little_after_the_accusation() -> None:
     st.floats(0.0, 30.0),
 )
 def test_what_is_taken_is_a_fresh_estimate_within_its_limits(
-    told: list[tuple[float, float, float]], late: float
+    estimates: list[tuple[float, float, float]], late: float
 ) -> None:
     """Whatever was estimated: the law never gets a value beyond the limit, too old, or of too wide a band."""
     stand_in = StandIn("temperature", 85.0, "°C")
     time = 10.0
     stand_in.accuse(time)
-    for pause, value, band in told:
+    for pause, value, band in estimates:
         time += pause
         stand_in.take(value, band, 1.0, time)
     value, trouble = stand_in.look(time + late)
     if not math.isnan(value):
-        assert (value, trouble) == (told[-1][1], "")
+        assert (value, trouble) == (estimates[-1][1], "")
         assert value <= 85.0
-        assert told[-1][2] <= 1.0
+        assert estimates[-1][2] <= 1.0
         assert time + late - time <= PATIENCE + 1e-9

@@ -103,7 +103,7 @@ def test_an_unsound_law_is_taken_back_and_the_old_one_holds_the_level(bench: Ben
     assert sample.output == pytest.approx(LEVEL, abs=0.6)
 
 
-def held(loop: Loop) -> None:
+def hold_drive(loop: Loop) -> None:
     loop.held = True
 
 
@@ -111,7 +111,7 @@ def limited(loop: Loop) -> None:
     loop.limits = [100.0]
 
 
-@pytest.mark.parametrize("guard", [held, limited])
+@pytest.mark.parametrize("guard", [hold_drive, limited])
 def test_when_the_guard_acts_the_old_law_is_back(bench: Bench, guard: Callable[[Loop], None]) -> None:
     bench.loop.try_law(SOUND, trial := LawTrial(bands()))
     bench.step()

@@ -85,7 +85,7 @@ def test_what_lacks_a_number_is_refused_with_those_there_are(payload: bytes, pat
     assert words in str(caught.value)
 
 
-def said(payload: bytes, path: str) -> str:
+def number_or_refusal(payload: bytes, path: str) -> str:
     """The number in a payload, or why there is none."""
     try:
         return str(number_at(document_of(payload), path))
@@ -101,12 +101,12 @@ def test_ten_thousand_malformed_payloads_are_errors_of_one_kind() -> None:
         for _ in range(random_bytes.randint(1, 5)):
             where = random_bytes.randint(0, len(mangled))
             mangled[where : where + random_bytes.randint(0, 9)] = random_bytes.randbytes(k % 7)
-        assert said(bytes(mangled), "room.temperature").isprintable(), mangled
+        assert number_or_refusal(bytes(mangled), "room.temperature").isprintable(), mangled
 
 
 @pytest.mark.parametrize("payload", [b"[" * 100_000, b"9" * 10_000, b'{"a":' * 5000, b"0" * 2_000_000])
 def test_payloads_that_are_long_or_deep_do_no_harm(payload: bytes) -> None:
-    assert 0 < len(said(payload, "")) < 200
+    assert 0 < len(number_or_refusal(payload, "")) < 200
 
 
 @pytest.mark.parametrize(

@@ -31,18 +31,18 @@ SECOND = 1_000_000_000
 SIGNALS = {"reference": Limits(), "output": Limits(2.0), "input": Limits(2.0, -255.0, 255.0)}
 
 
-def ns(at: float) -> int:
-    return round(at * SECOND)
+def ns(seconds: float) -> int:
+    return round(seconds * SECOND)
 
 
 def follow(message: object, path: str) -> float | None:
     return Followed(Channel("/t", path)).number(message)
 
 
-def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) -> list[Sample]:
+def run(sampler: Sampler, entries: list[tuple[float, str, float]], until: float) -> list[Sample]:
     """What the sampler makes of values by time, name and value, looked for every 10 ms."""
     samples = []
-    waiting = sorted(told, key=lambda entry: entry[0])
+    waiting = sorted(entries, key=lambda entry: entry[0])
     for time in np.arange(0.0, until, 0.01):
         while waiting and waiting[0][0] <= time:
             arrival, name, value = waiting.pop(0)
@@ -245,7 +245,7 @@ def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("rules", "words"),
     [
         ({"signals": {"output": Limits()}}, "input is not mapped"),
         ({"paced_by": "clock"}, "paced_by is 'clock'; choose one of reference, output, input, timer"),
@@ -253,9 +253,9 @@ def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
         ({"period": 0.0}, "period is 0 s"),
     ],
 )
-def test_rules_by_which_nothing_can_be_sampled_are_refused(given: dict, words: str) -> None:
+def test_rules_by_which_nothing_can_be_sampled_are_refused(rules: dict, words: str) -> None:
     with pytest.raises(SamplingError, match=words):
-        Sampler(**{"signals": SIGNALS, "period": 1.0, **given})
+        Sampler(**{"signals": SIGNALS, "period": 1.0, **rules})
 
 
 # Paths to numbers in messages: found, refused with what there is instead, followed.
@@ -287,7 +287,7 @@ def fields_of(kind: str) -> Mapping[str, Field]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "path", "found"),
+    ("kind", "path", "canonical"),
     [
         ("std_msgs/msg/Float64", "data", "data"),
         ("std_msgs/msg/Float64", "", "data"),
@@ -299,8 +299,8 @@ def fields_of(kind: str) -> Mapping[str, Field]:
         ("sensor_msgs/msg/JointState", "position[left/elbow_1]", "position[left/elbow_1]"),
     ],
 )
-def test_a_path_to_a_number_is_found(kind: str, path: str, found: str) -> None:
-    assert check_path(kind, path, fields_of) == found
+def test_a_path_to_a_number_is_found(kind: str, path: str, canonical: str) -> None:
+    assert check_path(kind, path, fields_of) == canonical
 
 
 @pytest.mark.parametrize(
@@ -401,13 +401,13 @@ def test_a_joint_is_found_by_its_name_in_any_order_and_in_no_message_of_others()
     assert [elbow.number(message) for message in messages] == [1.0, 1.5, None]
 
 
-@pytest.mark.parametrize("other", [joints(wrist=2.5, elbow=1.5), joints(gripper=0.1)])
-def test_an_index_that_means_another_joint_than_before_is_refused(other: SimpleNamespace) -> None:
+@pytest.mark.parametrize("message", [joints(wrist=2.5, elbow=1.5), joints(gripper=0.1)])
+def test_an_index_that_means_another_joint_than_before_is_refused(message: SimpleNamespace) -> None:
     first = Followed(Channel("/joint_states", "position[0]"))
     assert [first.number(joints(elbow=1.0, wrist=2.0)), first.number(joints(elbow=1.2))] == [1.0, 1.2]
-    words = rf"elbow in one message and {other.name[0]} in another; choose it by name: .*:position\[elbow\]"
+    words = rf"elbow in one message and {message.name[0]} in another; choose it by name: .*:position\[elbow\]"
     with pytest.raises(SamplingError, match=words):
-        first.number(other)
+        first.number(message)
 
 
 @pytest.mark.parametrize(
@@ -455,15 +455,17 @@ def test_a_gap_in_time_is_a_gap_in_the_numbers(before: int, gap: int, phase: flo
 
 
 @pytest.mark.parametrize(
-    ("times", "found"),
+    ("times", "expected"),
     [
         ([0.0, 1.0, 4.2, 4.21, 4.22, 5.0, 6.0], [0, 1, 4, None, None, 5, 6]),  # a burst is one tick
         ([100.0, 101.0, 5.0, 6.0], [0, 1, 3, 4]),  # a clock that is set back starts over behind a gap
         ([0.0, 1.0, 0.9, 2.0], [0, 1, None, 2]),  # a message a little before the last is not a tick
     ],
 )
-def test_numbers_by_hand(times: list[float], found: list[int | None]) -> None:
-    assert numbers(np.array(times)) == found
+def test_ticks_are_numbered_through_bursts_set_back_clocks_and_early_messages(
+    times: list[float], expected: list[int | None]
+) -> None:
+    assert numbers(np.array(times)) == expected
 
 
 def rate_of(times: np.ndarray) -> Rate:

@@ -23,12 +23,12 @@ numbers = st.floats(-1e3, 1e3)
 
 @given(numbers, numbers, st.floats(0.1, 10.0), numbers)
 def test_an_entry_gives_the_mean_of_its_places_scaled_and_converted(
-    one: float, other: float, scale: float, offset: float
+    first: float, second: float, scale: float, offset: float
 ) -> None:
     source = parse_source("here", f"/a:x, /b:x; unit=K; scale={scale!r}; offset={offset!r}")
     followed = source.follow("output", "°C", source.channels("output"), [KIND, KIND])
-    assert followed.value([one, other]) == pytest.approx(
-        scale * (one + other) / 2 + offset - 273.15, abs=1e-8
+    assert followed.value([first, second]) == pytest.approx(
+        scale * (first + second) / 2 + offset - 273.15, abs=1e-8
     )
 
 

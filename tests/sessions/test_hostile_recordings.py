@@ -181,9 +181,9 @@ def test_a_chunk_that_unpacks_to_much_is_refused(tmp_path, compression, stated):
 
 
 @pytest.mark.parametrize("compression", PACK)
-@pytest.mark.parametrize("more", [-1, 1])
-def test_a_chunk_that_is_longer_or_shorter_than_it_states_is_damaged(tmp_path, compression, more):
-    scan = scan_of_zeros(tmp_path / "run.mcap", compression, 1000, 1000 + more)
+@pytest.mark.parametrize("surplus", [-1, 1])
+def test_a_chunk_that_is_longer_or_shorter_than_it_states_is_damaged(tmp_path, compression, surplus):
+    scan = scan_of_zeros(tmp_path / "run.mcap", compression, 1000, 1000 + surplus)
     assert scan.fault.startswith("the file is damaged: the checksum of a chunk is wrong")
 
 

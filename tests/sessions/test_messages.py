@@ -200,7 +200,7 @@ def test_verdicts_are_compared_in_what_both_forms_have() -> None:
         assert type(verification.difference.recorded) is type(verification.difference.computed)
 
 
-def test_a_replay_reads_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_in_the_former_form_can_be_replayed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(SESSION)]) == 0
     assert "Nominal, the centre of the family: match at 40 °C" in capsys.readouterr().out
 

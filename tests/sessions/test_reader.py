@@ -43,7 +43,7 @@ def test_a_folder_and_its_file_hold_the_same(tmp_path):
     assert (by_folder.path, by_file.path) == (folder, folder / "night_0.mcap")
 
 
-def test_duration_period_and_window(tmp_path):
+def test_a_session_knows_its_duration_its_period_and_its_window(tmp_path):
     session = read_session(write_session(tmp_path / "fast", run(31, first=5, step=100_000_000)))
     assert session.duration == 3.0
     assert session.period == 0.1
@@ -254,12 +254,12 @@ COUNT = 60
 SAMPLES = [Sample(k, k * 10**9, 30.0, 25.0 + k / 8, float(k)) for k in range(COUNT)]
 
 
-def flushed_file(folder: Path, every: int = 20) -> bytes:
+def flushed_file(folder: Path, messages_per_chunk: int = 20) -> bytes:
     with SessionWriter(folder) as writer:
         writer.add_topic(SAMPLE)
         for sample in SAMPLES:
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
-            if sample.index % every == every - 1:
+            if sample.index % messages_per_chunk == messages_per_chunk - 1:
                 writer.flush()
     return (folder / f"{folder.name}_0.mcap").read_bytes()
 

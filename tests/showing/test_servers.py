@@ -21,18 +21,18 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "warning"),
     [
         (("dashboard",), "PAGE OPEN: anyone who can reach 0.0.0.0 may read this page;"),
         (("dashboard", "--control"), "0.0.0.0 may read this page and command the plant;"),
         (("foxglove",), "FOXGLOVE OPEN: anyone who can reach 0.0.0.0 may read this graph;"),
     ],
 )
-def test_an_open_server_says_so(tmp_path: Path, words: tuple[str, ...], told: str) -> None:
+def test_an_open_server_says_so(tmp_path: Path, words: tuple[str, ...], warning: str) -> None:
     processes = Processes(tmp_path / "servers")
     server = processes.python("-m", "twinmatch.cli", *words, "--port", "0", "--address", "0.0.0.0")
     assert server.url
-    assert told in server.text
+    assert warning in server.text
     [(code, text)] = processes.end()
     assert Process.well(code), text
     assert "Traceback" not in text

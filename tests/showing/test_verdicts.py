@@ -253,7 +253,9 @@ DRIVE = {"fault": "drive-lost"}
     ],
     ids=["none", "levels", "past fault", "fault"],
 )
-def test_trust_over_time(story: list[Verdict], spans: list[tuple[int, int, TrustLevel]]) -> None:
+def test_stretches_of_trust_and_faults_begin_and_end_with_their_samples(
+    story: list[Verdict], spans: list[tuple[int, int, TrustLevel]]
+) -> None:
     assert [(s.first, s.last, s.level) for s in Tally(story, 10).stretches] == spans
 
 
@@ -349,7 +351,9 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
         ),
     ],
 )
-def test_the_sentence(changes: dict[str, object], text: str) -> None:
+def test_one_sentence_says_what_to_trust_how_far_and_which_faults_there_were(
+    changes: dict[str, object], text: str
+) -> None:
     assert sentence(replace(SUMMARY, **changes)) == text  # type: ignore[arg-type]
 
 

@@ -379,7 +379,7 @@ class AbroadPlant:
         last = math.nan
         for k in range(size):
             mishap = self.mishap
-            level = self._level(k)
+            level = self.level(k)
             reading = self._read(k)
             shown.append(reading)
             if mishap.kind == "frozen" and mishap.on(k):
@@ -401,7 +401,7 @@ class AbroadPlant:
             yield Sample(k, round(k * period * 1e9), reference, reading, recorded, disturbances)
             self._advance(k, u)
 
-    def _level(self, k: int) -> float:
+    def level(self, k: int) -> float:
         """Set-point, or input in open loop."""
         if k >= self._until:
             low, high = self.kind.levels if self.closed else self.kind.inputs

@@ -15,28 +15,28 @@ START = 1_700_000_000
 """Time from which those of messages count, s since the epoch."""
 
 
-def stamp(at: float) -> Any:
+def stamp(seconds: float) -> Any:
     return STORE.types["builtin_interfaces/msg/Time"](
-        sec=START + math.floor(at), nanosec=round(at % 1 * 1e9) % 1_000_000_000
+        sec=START + math.floor(seconds), nanosec=round(seconds % 1 * 1e9) % 1_000_000_000
     )
 
 
-def header(at: float) -> Any:
-    return STORE.types["std_msgs/msg/Header"](stamp=stamp(at), frame_id="")
+def header(seconds: float) -> Any:
+    return STORE.types["std_msgs/msg/Header"](stamp=stamp(seconds), frame_id="")
 
 
 def number(value: float) -> Any:
     return STORE.types["std_msgs/msg/Float64"](data=value)
 
 
-def temperature(at: float, value: float) -> Any:
-    return STORE.types["sensor_msgs/msg/Temperature"](header=header(at), temperature=value, variance=0.0)
+def temperature(seconds: float, value: float) -> Any:
+    return STORE.types["sensor_msgs/msg/Temperature"](header=header(seconds), temperature=value, variance=0.0)
 
 
 def bag(
     folder: Path,
     storage: StoragePlugin,
-    made: list[tuple[float, str, Any]],
+    messages: list[tuple[float, str, Any]],
     behind: float = 0.0,
     *,
     surplus: bytes = b"",
@@ -51,7 +51,7 @@ def bag(
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
         connections = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
-        for time, name, message in sorted(made, key=lambda entry: entry[0]):
+        for time, name, message in sorted(messages, key=lambda entry: entry[0]):
             kind = message.__msgtype__
             if name not in connections:
                 connections[name] = writer.add_connection(name, kind, typestore=STORE)

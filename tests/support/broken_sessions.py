@@ -128,11 +128,11 @@ def samples_in(sound: bytes) -> Set[bytes]:
     return set(_plain(StreamReader(BytesIO(sound), emit_chunks=True).records))
 
 
-def plainly_found(content: bytes, there: Set[bytes]) -> Set[bytes]:
+def plainly_found(content: bytes, sound: Set[bytes]) -> Set[bytes]:
     """Those of the sound samples that plain readers find in their order: chunk by chunk, from the beginning
     or by the index, without checking checksums. A sample among others of another time is not counted."""
-    from_the_beginning = [data for data in _from_the_beginning(content) if data in there]
-    by_the_index = [data for data in _by_the_index(content) if data in there]
+    from_the_beginning = [data for data in _from_the_beginning(content) if data in sound]
+    by_the_index = [data for data in _by_the_index(content) if data in sound]
     return max(_in_order(from_the_beginning), _in_order(by_the_index), key=len)
 
 
@@ -183,10 +183,10 @@ def _by_the_index(content: bytes) -> Iterator[bytes]:
         return
     numbers = {number for number, channel in summary.channels.items() if channel.topic == SAMPLE.name}
     for entry in summary.chunk_indexes:
-        yield from _at(content, entry, numbers)
+        yield from _messages_numbered(content, entry, numbers)
 
 
-def _at(content: bytes, entry: ChunkIndex, numbers: set[int]) -> Iterator[bytes]:
+def _messages_numbered(content: bytes, entry: ChunkIndex, numbers: set[int]) -> Iterator[bytes]:
     from mcap.data_stream import ReadDataStream
 
     stream = BytesIO(content)

@@ -109,7 +109,7 @@ class Costs:
         return costs
 
 
-def files_that_grew(stored: Mapping[str, Cost], now: Mapping[str, Cost]) -> list[str]:
+def files_that_grew(stored: Mapping[str, Cost], measured: Mapping[str, Cost]) -> list[str]:
     """Lines on the files that compute longer than in the stored run, and on those that are new and slow.
 
     None without a stored run. Machines differ: what all files have in common, the median ratio, is the
@@ -118,13 +118,13 @@ def files_that_grew(stored: Mapping[str, Cost], now: Mapping[str, Cost]) -> list
     if not stored:
         return []
     ratios = [
-        now[name].computed / cost.computed
+        measured[name].computed / cost.computed
         for name, cost in stored.items()
-        if name in now and cost.computed > NOTICED
+        if name in measured and cost.computed > NOTICED
     ]
     machine = statistics.median(ratios) if ratios else 1.0
     lines = []
-    for name, cost in now.items():
+    for name, cost in measured.items():
         before = stored[name].computed * machine if name in stored else 0.0
         if cost.computed > GROWN * before and cost.computed - before > NOTICED:
             was = f"{before:.1f} s" if name in stored else "new"

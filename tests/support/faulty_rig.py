@@ -101,33 +101,33 @@ def run(
         pwm = pid.step(float(wanted), reading)[0]
         samples.append(Sample(k, k, float(wanted), reading, pwm))
         since = (k - broken.start) * period if broken is not None and "~" in kind else 0.0
-        states = advance(_now(rig, kind, min(since, SLOWLY)), states, pwm, period)
+        states = advance(_broken_rig(rig, kind, min(since, SLOWLY)), states, pwm, period)
         if broken is not None and kind.startswith("heat"):
             states[0] += float(kind[4:]) * period / broken.length
     return samples, truth
 
 
-def _offset(what: str, since: float) -> float:
+def _offset(kind: str, since: float) -> float:
     """By what the reading is off, so many seconds after the break, °C."""
-    if what.startswith("reading+"):
-        return float(what[8:])
-    if what.startswith("reading~"):
-        return float(what[8:]) * min(since / SLOWLY, 1.0)
-    return 12.0 if what == "reading-offset" else 0.0
+    if kind.startswith("reading+"):
+        return float(kind[8:])
+    if kind.startswith("reading~"):
+        return float(kind[8:]) * min(since / SLOWLY, 1.0)
+    return 12.0 if kind == "reading-offset" else 0.0
 
 
 @lru_cache(maxsize=64)
-def _now(rig: Parameters, what: str, since: float = 0.0) -> Parameters:
+def _broken_rig(rig: Parameters, kind: str, since: float = 0.0) -> Parameters:
     """The rig while something is broken, so many seconds after it broke."""
-    if what == "drive-lost":
+    if kind == "drive-lost":
         return rig.replace(current_limit=1e-9)
-    if what.startswith("supply"):
-        come = min(since / SLOWLY, 1.0) if what[6] == "~" else 1.0
-        return rig.replace(supply=(1.0 - (1.0 - float(what[7:])) * come) * rig["supply"])
-    if what.startswith("room"):
-        return rig.replace(ambient=rig["ambient"] + float(what[4:]))
-    if what in FANS:
-        return rig.replace(sink_convection=FANS[what] * rig["sink_convection"])
+    if kind.startswith("supply"):
+        come = min(since / SLOWLY, 1.0) if kind[6] == "~" else 1.0
+        return rig.replace(supply=(1.0 - (1.0 - float(kind[7:])) * come) * rig["supply"])
+    if kind.startswith("room"):
+        return rig.replace(ambient=rig["ambient"] + float(kind[4:]))
+    if kind in FANS:
+        return rig.replace(sink_convection=FANS[kind] * rig["sink_convection"])
     return rig
 
 

@@ -266,13 +266,13 @@ def _variables() -> list[tuple[str, str, str]]:
     ]
 
 
-def _compiled(folder: Path, code: str, others: str, xml: str, platform: str) -> Path:
+def _compiled(folder: Path, code: str, stubs: str, xml: str, platform: str) -> Path:
     """The FMU of some sources and a description."""
     import fmpy
 
     build = folder / "build"
     build.mkdir(parents=True)
-    for name, text in (("plate.c", code), ("others.c", others)):
+    for name, text in (("plate.c", code), ("others.c", stubs)):
         (build / name).write_text(text, encoding="utf-8")
     headers = Path(fmpy.__file__).parent / "c-code"
     subprocess.run(
@@ -288,7 +288,7 @@ def _compiled(folder: Path, code: str, others: str, xml: str, platform: str) -> 
     return file
 
 
-def _left_out(code: str, *of: type) -> str:
+def _left_out(code: str, *bases: type) -> str:
     """Functions that FMPy wants to find, and that say that they cannot do it."""
-    names = {name for base in of for name in dir(base) if name.startswith(("fmi2", "fmi3"))}
+    names = {name for base in bases for name in dir(base) if name.startswith(("fmi2", "fmi3"))}
     return "".join(f"int {name}(void) {{ return 3; }}\n" for name in sorted(names) if f"{name}(" not in code)

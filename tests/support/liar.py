@@ -185,7 +185,7 @@ class RunTime:
 
 
 def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
-    gate: OutputGate, clocks: RunTime, k: int, plant: Parameters, states: FloatArray, seen: FloatArray,
+    gate: OutputGate, clocks: RunTime, k: int, plant: Parameters, states: FloatArray, measured: FloatArray,
     command: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The states after second k behind a gate, which decides twice, and what it let pass last."""
@@ -193,7 +193,7 @@ def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
     for half in (0.0, 0.5):
         clocks.now = k + half
         gate.command(command, k, clocks().stamps)
-        gate.temperature(seen, clocks().stamps)
+        gate.temperature(measured, clocks().stamps)
         applied = np.array(gate.decide().inputs)
         states = advance(plant, states, applied, 0.5)
     return states, applied

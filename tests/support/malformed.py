@@ -212,11 +212,11 @@ class Malformed:
     def _odd(self) -> Any:
         return copy.deepcopy(self._random.choice((*ODD, LARGE, DEEP)))
 
-    def _cell(self, held: Any) -> Any:
+    def _cell(self, value: Any) -> Any:
         """What may stand in a column of a database; in one with JSON mostly some other JSON."""
         draw = self._random
-        if isinstance(held, tuple | dict) and draw.random() < 0.7:
-            return self._json(self._changed(json.loads(self._json(held)))).decode()
+        if isinstance(value, tuple | dict) and draw.random() < 0.7:
+            return self._json(self._changed(json.loads(self._json(value)))).decode()
         return draw.choice(
             (None, -1, 0, 2**63 - 1, -(2**63), 1e308, float("inf"), "", "x", "9" * 5000, b"\xff\x00",
              "[" * 5000, "²", "\x1b[2J", "trusted", "\ud800", "peltier", "held sink")

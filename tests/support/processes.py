@@ -224,9 +224,9 @@ class Processes:
         for process in reversed(self._started):
             process.send(signal.SIGTERM)
             process.thaw()
-        with suppress(subprocess.TimeoutExpired):
+        with suppress(AssertionError):
             for process in self._started:
-                process._process.wait(patience)
+                process.wait(patience)
         for process in self._started:
             process.kill()
 

@@ -29,6 +29,6 @@ def recorded(parameters: Parameters, seed: int, first: int = 0) -> Window:
     return replace(window, first=first)
 
 
-def apart(one: Parameters, other: Parameters) -> float:
+def apart(first: Parameters, second: Parameters) -> float:
     """The ν-gap between two plants at 30, 50 and 70 °C."""
-    return plant_gap(one, other, (30.0, 50.0, 70.0), LoopConditions(GAINS, spans_of(Peltier)))
+    return plant_gap(first, second, (30.0, 50.0, 70.0), LoopConditions(GAINS, spans_of(Peltier)))

@@ -40,14 +40,14 @@ _BLOCK = 150
 
 
 @dataclass
-class _Seen:
+class _Branch:
     """A monitor that has seen some samples and no more, and those that have seen one block more."""
 
     watched: Watched
-    later: dict[tuple[Sample, ...], _Seen] = field(default_factory=dict)
+    later: dict[tuple[Sample, ...], _Branch] = field(default_factory=dict)
 
 
-_SEEN: dict[str, _Seen] = {}
+_SEEN: dict[str, _Branch] = {}
 """Monitors of a kind that have seen nothing yet, and from there on all runs that were watched."""
 _SHARED = (
     ErrorModel, Health, HealthSettings, Kernels, Parameters, Record, Sample, TrackedSample, Tracker
@@ -92,7 +92,7 @@ def watched(
     """Watch samples, to the first after which something holds; `begin` gives the monitor of this kind."""
     samples = tuple(samples)
     if kind not in _SEEN:
-        _SEEN[kind] = _Seen(begin())
+        _SEEN[kind] = _Branch(begin())
     branch = _SEEN[kind]
     place = 0
     while samples[place : place + _BLOCK] in branch.later:
@@ -105,5 +105,5 @@ def watched(
         latest.push(sample)
         if count % _BLOCK == 0:
             block = samples[count - _BLOCK : count]
-            branch = branch.later.setdefault(block, _Seen(copied(latest)))
+            branch = branch.later.setdefault(block, _Branch(copied(latest)))
     return latest

@@ -120,7 +120,7 @@ def test_every_command_of_the_readme_is_known_here_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("command", MAKES)
-def test_make_would_do_it(command: str) -> None:
+def test_each_make_command_would_run_what_it_promises(command: str) -> None:
     completed = subprocess.run(
         [*command.split(), "--dry-run", "--always-make"],
         cwd=PROJECT,

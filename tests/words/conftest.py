@@ -42,7 +42,7 @@ class Shown(NamedTuple):
             assert word in text, word
 
 
-def _held(truth: Parameters, levels: list[float], broken: str, last: int, seed: int) -> list[Sample]:
+def _levels_held(truth: Parameters, levels: list[float], broken: str, last: int, seed: int) -> list[Sample]:
     """Levels held by the plant's own controller, 240 samples each; then drive or sensor are `broken`."""
     plant = truth.model.plant
     assert plant.loop is not None
@@ -89,8 +89,8 @@ def shown(
     folder = tmp_path_factory.mktemp("own_words")
     if request.param == "motor":
         truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
-        samples = _held(truth, [50.0, 150.0, -60.0, 120.0], "lost", 180, seed=3)
+        samples = _levels_held(truth, [50.0, 150.0, -60.0, 120.0], "lost", 180, seed=3)
         return _shown(folder, Motor, samples, "speed", "rad/s")
     truth = Tank.model().parameters(area=5.0, hole=0.9)
-    samples = _held(truth, [0.8, 1.6, 1.1, 2.0], "frozen", 100, seed=4)
+    samples = _levels_held(truth, [0.8, 1.6, 1.1, 2.0], "frozen", 100, seed=4)
     return _shown(folder, Tank, samples, "outflow", "l/s")

@@ -30,7 +30,7 @@ from twinmatch.twin import Mirror
 Capture = pytest.CaptureFixture[str]
 
 
-def said(capsys: Capture, *words: object) -> str:
+def printed_by(capsys: Capture, *words: object) -> str:
     capsys.readouterr()
     assert main([str(word) for word in words]) == 0
     printed = capsys.readouterr()
@@ -40,7 +40,9 @@ def said(capsys: Capture, *words: object) -> str:
 def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out.json"
     picture = tmp_path / "out.svg"
-    text = said(capsys, "replay", shown.folder, "--config", shown.config, "--json", out, "--figure", picture)
+    text = printed_by(
+        capsys, "replay", shown.folder, "--config", shown.config, "--json", out, "--figure", picture
+    )
     shown.speaks_of_itself(text)
     shown.speaks_of_itself(json.dumps(json.loads(out.read_text("utf-8")), ensure_ascii=False))
     assert re.search("drive-lost|sensor-frozen", text)
@@ -49,19 +51,19 @@ def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Ca
 def test_a_forecast_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out.json"
     asked = ("--at", 700, "--horizon", 10, "--json", out)
-    text = said(capsys, "forecast", shown.folder, "--config", shown.config, *asked)
+    text = printed_by(capsys, "forecast", shown.folder, "--config", shown.config, *asked)
     shown.speaks_of_itself(text)
     shown.speaks_of_itself(out.read_text("utf-8"), '"y"')
 
 
 def test_a_backtest_uses_the_plants_words(shown: Shown, capsys: Capture) -> None:
-    text = said(capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5)
+    text = printed_by(capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5)
     shown.speaks_of_itself(text)
 
 
 def test_a_report_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "report.html"
-    text = said(capsys, "report", shown.folder, "--config", shown.config, "-o", out)
+    text = printed_by(capsys, "report", shown.folder, "--config", shown.config, "-o", out)
     shown.speaks_of_itself(text, str(out))
     page = re.sub(r"data:[^\"]*", "", out.read_text("utf-8"))
     page = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
@@ -127,5 +129,5 @@ def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
 
 
 def test_an_archive_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
-    text = said(capsys, "replay", shown.folder, "--config", shown.config, "--out", tmp_path / "archive")
+    text = printed_by(capsys, "replay", shown.folder, "--config", shown.config, "--out", tmp_path / "archive")
     shown.speaks_of_itself(text, shown.plant.output.unit)

@@ -29,7 +29,7 @@ class Arrived(NamedTuple):
     """A message as the viewer was given it."""
 
     topic: str
-    at: int
+    stamp: int
     data: bytes
 
 

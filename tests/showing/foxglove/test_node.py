@@ -234,7 +234,7 @@ def test_time_is_that_of_the_plant(
     viewer.wait(rig.is_heard, "its reader")
     rig.sample(0)
     viewer.wait(lambda: viewer.heard("/plant/sample"), "a sample")
-    assert viewer.heard("/plant/sample")[-1].at == 1234 * 10**9
+    assert viewer.heard("/plant/sample")[-1].stamp == 1234 * 10**9
 
 
 def test_it_shows_the_rig_of_its_namespace_and_tells_how_it_is(

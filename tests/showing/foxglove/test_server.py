@@ -82,7 +82,7 @@ def test_a_late_subscriber_is_given_the_newest_message_and_no_other_is(
     second.wait(lambda: second.messages, "the newest message")
     first.read_for(0.3)
     assert second.messages == [("/a", 20, number(2.0))]
-    assert [message.at for message in first.messages] == [10, 20]
+    assert [message.stamp for message in first.messages] == [10, 20]
     server.forget("/a")
     third = view(server.url)
     third.subscribe("/a")
@@ -117,8 +117,8 @@ def test_a_viewer_that_does_not_keep_up_loses_the_oldest_and_holds_nobody_back(
     many = 3 * BACKLOG
     for k in range(many):
         server.send("/a", number(k) + bytes(20_000), k)
-    viewer.wait(lambda: viewer.messages and viewer.messages[-1].at == many - 1, "the newest message")
-    stamps = [message.at for message in viewer.messages]
+    viewer.wait(lambda: viewer.messages and viewer.messages[-1].stamp == many - 1, "the newest message")
+    stamps = [message.stamp for message in viewer.messages]
     assert stamps == sorted(stamps)
     assert len(stamps) < many
 

@@ -43,11 +43,11 @@ def read(text: bytes) -> Numbers:
         assert family.type == "gauge"
         assert family.documentation.endswith(".")
         for name, labels, value, *_ in family.samples:
-            samples[of(name.removeprefix("twinmatch_"), *filter(None, labels.values()))] = value
+            samples[number_key(name.removeprefix("twinmatch_"), *filter(None, labels.values()))] = value
     return samples
 
 
-def of(name: str, *values: str) -> tuple[str, frozenset[str]]:
+def number_key(name: str, *values: str) -> tuple[str, frozenset[str]]:
     return name, frozenset(values)
 
 
@@ -89,18 +89,18 @@ def test_prometheus_reads_what_the_page_knows(server: PageServer, state: Dashboa
         exported = read(answer.read())
     verdict = state.verdict
     assert verdict is not None
-    assert exported[of("sample_index")] == state.sample
-    assert exported[of("sample_age_seconds")] == 2.5
-    assert exported[of("verdicts")] == state.tally.verdicts > 1
-    levels = {level: exported[of("trust_level", level.value)] for level in TrustLevel}
+    assert exported[number_key("sample_index")] == state.sample
+    assert exported[number_key("sample_age_seconds")] == 2.5
+    assert exported[number_key("verdicts")] == state.tally.verdicts > 1
+    levels = {level: exported[number_key("trust_level", level.value)] for level in TrustLevel}
     assert levels == {level: float(level is verdict.level) for level in TrustLevel}
-    assert exported[of("fault")] == 0.0
+    assert exported[number_key("fault")] == 0.0
     for horizon, rise in (("10", 0.1), ("60", 0.6), ("300", 3.0)):
         for edge, offset in (("mean", 0.0), ("low", -1.0), ("high", 1.0)):
-            assert exported[of(f"forecast_{edge}", "temperature", "°C", horizon)] == pytest.approx(
+            assert exported[number_key(f"forecast_{edge}", "temperature", "°C", horizon)] == pytest.approx(
                 45.0 + rise + offset
             )
-            assert exported[of(f"forecast_{edge}", "pwm", "PWM", horizon)] == pytest.approx(
+            assert exported[number_key(f"forecast_{edge}", "pwm", "PWM", horizon)] == pytest.approx(
                 20.0 + rise + offset
             )
 
@@ -112,16 +112,17 @@ def test_errors_and_coverage_are_those_of_the_leader(state: DashboardState) -> N
     leading = verdict.leading
     assert leading is not None
     errors = {"temperature": verdict.miss_y, "pwm": verdict.miss_u}
-    assert {name: exported[of("forecast_error_rms", name)] for name in errors} == errors
+    assert {name: exported[number_key("forecast_error_rms", name)] for name in errors} == errors
     known_horizons = [k for k, share in enumerate(leading.coverage) if not math.isnan(share)]
     assert known_horizons
     for k in known_horizons:
         horizon = f"{verdict.horizons[k]:g}"
-        assert exported[of("forecast_coverage_ratio", horizon)] == leading.coverage[k]
+        assert exported[number_key("forecast_coverage_ratio", horizon)] == leading.coverage[k]
         assert (
-            exported[of("forecast_error_ratio", "persistence", horizon)] == 1.0 - leading.persistence_skill[k]
+            exported[number_key("forecast_error_ratio", "persistence", horizon)]
+            == 1.0 - leading.persistence_skill[k]
         )
-        assert exported[of("forecast_error_ratio", "arx", horizon)] == 1.0 - leading.arx_skill[k]
+        assert exported[number_key("forecast_error_ratio", "arx", horizon)] == 1.0 - leading.arx_skill[k]
 
 
 def test_it_is_trusted_as_far_as_the_verdict_says_and_only_at_its_level(
@@ -129,7 +130,7 @@ def test_it_is_trusted_as_far_as_the_verdict_says_and_only_at_its_level(
 ) -> None:
     for level, ahead in ((TrustLevel.TRUSTED, 60.0), (TrustLevel.DOUBTFUL, 0.0), (TrustLevel.FAULT, 0.0)):
         state.push_verdict(replace(LED, level=level, horizons=(10.0, 60.0, 300.0), trusted=(10.0, 60.0)))
-        assert numbers(state)[of("trusted_horizon_seconds")] == ahead
+        assert numbers(state)[number_key("trusted_horizon_seconds")] == ahead
 
 
 def test_a_fault_has_its_kind_and_its_channel_and_ends() -> None:
@@ -142,10 +143,10 @@ def test_a_fault_has_its_kind_and_its_channel_and_ends() -> None:
         frozenset({"drive-lost", "power"}): 1.0,
         frozenset({"output held at zero: too hot"}): 1.0,
     }
-    assert exported[of("trust_level", "fault")] == 1.0
+    assert exported[number_key("trust_level", "fault")] == 1.0
     state.push_verdict(replace(LED, sample=301))
     state.push_drive(DriveReport(0.0, math.nan, ""))
-    assert numbers(state)[of("fault")] == 0.0
+    assert numbers(state)[number_key("fault")] == 0.0
 
 
 def test_each_signal_of_several_has_its_own_numbers() -> None:
@@ -158,14 +159,16 @@ def test_each_signal_of_several_has_its_own_numbers() -> None:
         ("second_temperature", "°C", 53.0),
         ("second", "%", 23.0),
     ):
-        assert exported[of("forecast_mean", signal, unit, "300")] == pytest.approx(expected)
+        assert exported[number_key("forecast_mean", signal, unit, "300")] == pytest.approx(expected)
 
 
 def test_what_is_not_known_has_no_number() -> None:
     exported = numbers(DashboardState())
     assert exported == {
-        **{of(name): 0.0 for name in ("verdicts", "fault", "trusted_horizon_seconds")},
-        **{of("trust_level", level.value): float(level is TrustLevel.UNKNOWN) for level in TrustLevel},
+        **{number_key(name): 0.0 for name in ("verdicts", "fault", "trusted_horizon_seconds")},
+        **{
+            number_key("trust_level", level.value): float(level is TrustLevel.UNKNOWN) for level in TrustLevel
+        },
     }
 
 

@@ -43,17 +43,17 @@ class Subscriber:
     """Keeps the newest message of each topic, and how often it came."""
 
     def __init__(self, url: str) -> None:
-        self.said: dict[str, str] = {}
+        self.payloads: dict[str, str] = {}
         self.retained: set[str] = set()
         """Topics whose newest message the broker had kept."""
         self.counts: dict[str, int] = {}
         self._client = Broker.parse(url).connected(self._subscribe, self._take)
 
     def json(self, topic: str) -> Any:
-        return json.loads(self.said[topic])
+        return json.loads(self.payloads[topic])
 
     def await_that(self, condition: Callable[[], object], what: str) -> None:
-        wait_for(condition, lambda: f"{what}: {self.said}")
+        wait_for(condition, lambda: f"{what}: {self.payloads}")
 
     def close(self) -> None:
         self._client.disconnect()
@@ -65,7 +65,7 @@ class Subscriber:
     def _take(self, message: MQTTMessage) -> None:
         self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
         (self.retained.add if message.retain else self.retained.discard)(message.topic)
-        self.said[message.topic] = message.payload.decode()
+        self.payloads[message.topic] = message.payload.decode()
 
 
 @pytest.fixture(params=KINDS)
@@ -93,7 +93,7 @@ def telling(broker: RunningBroker, rig: str = "") -> Iterator[MqttOutlet]:
         outlet.close()
 
 
-def known(described: Description | None = None, sample: int = 300) -> DashboardState:
+def state_with_forecast(described: Description | None = None, sample: int = 300) -> DashboardState:
     """A trusted leader, 60 s ahead: at 10, 60 and 300 s the k-th output is at 45.1, 45.6 and 48.0, plus k."""
     described = described or description_of(Peltier)
     state = DashboardState(described=described)
@@ -118,13 +118,13 @@ def with_bands(**more: Any) -> Verdict:
 
 def test_late_subscribers_receive_the_whole_state(broker: RunningBroker) -> None:
     with telling(broker) as outlet:
-        assert outlet.tell(known()) == ""
+        assert outlet.tell(state_with_forecast()) == ""
         with subscribed(broker) as early:
-            early.await_that(lambda: STATE in early.said, "the state")
+            early.await_that(lambda: STATE in early.payloads, "the state")
         with subscribed(broker) as late:
-            late.await_that(lambda: {STATE, STATUS} <= late.said.keys(), "the state")
+            late.await_that(lambda: {STATE, STATUS} <= late.payloads.keys(), "the state")
             assert {STATE, STATUS} <= late.retained
-            assert late.said[STATUS] == "online"
+            assert late.payloads[STATUS] == "online"
             assert late.json(STATE) == {
                 "level": "trusted",
                 "sentence": "Leader: twin; trust it 10 and 60 s ahead.",
@@ -139,11 +139,11 @@ def test_late_subscribers_receive_the_whole_state(broker: RunningBroker) -> None
                 "sample": 300,
             }
     with subscribed(broker) as later:
-        later.await_that(lambda: later.said.get(STATUS) == "offline", "the end")
+        later.await_that(lambda: later.payloads.get(STATUS) == "offline", "the end")
 
 
 def test_only_what_has_changed_is_published(broker: RunningBroker) -> None:
-    state = known()
+    state = state_with_forecast()
     with subscribed(broker) as subscriber, telling(broker) as outlet:
         outlet.tell(state)
         outlet.tell(state)
@@ -151,7 +151,8 @@ def test_only_what_has_changed_is_published(broker: RunningBroker) -> None:
         outlet.tell(state)
         outlet.tell(state)
         subscriber.await_that(
-            lambda: STATE in subscriber.said and subscriber.json(STATE)["sample"] == 301, "the second state"
+            lambda: STATE in subscriber.payloads and subscriber.json(STATE)["sample"] == 301,
+            "the second state",
         )
         assert subscriber.counts.pop(STATE) == 2
         assert set(subscriber.counts.values()) == {1}
@@ -163,7 +164,7 @@ def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(b
         assert outlet.tell(state) == ""
         state.describe(description_of(Peltier))
         outlet.tell(state)
-        subscriber.await_that(lambda: STATE in subscriber.said, "the first plant")
+        subscriber.await_that(lambda: STATE in subscriber.payloads, "the first plant")
         first = subscriber.json(STATE)
         assert (first["level"], first["ahead"], first["forecast"], first["coverage"]) == (
             "unknown",
@@ -173,18 +174,18 @@ def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(b
         )
         state.describe(description_of(TCLabBoth))
         outlet.tell(state)
-        subscriber.await_that(lambda: "twinmatch/tclab-both/state" in subscriber.said, "the second plant")
-        subscriber.await_that(lambda: subscriber.said[STATUS] == "offline", "the end of the first")
-        assert subscriber.said["twinmatch/tclab-both/status"] == "online"
+        subscriber.await_that(lambda: "twinmatch/tclab-both/state" in subscriber.payloads, "the second plant")
+        subscriber.await_that(lambda: subscriber.payloads[STATUS] == "offline", "the end of the first")
+        assert subscriber.payloads["twinmatch/tclab-both/status"] == "online"
 
 
 def test_a_plant_that_is_known_before_keeps_its_title(broker: RunningBroker) -> None:
     with subscribed(broker) as subscriber, telling(broker, "peltier") as outlet:
-        subscriber.await_that(lambda: subscriber.said.get(STATUS) == "online", "its status")
+        subscriber.await_that(lambda: subscriber.payloads.get(STATUS) == "online", "its status")
         assert outlet.tell(DashboardState()) == ""
-        outlet.tell(known())
+        outlet.tell(state_with_forecast())
         topic = "homeassistant/sensor/twinmatch_peltier_trust/config"
-        subscriber.await_that(lambda: topic in subscriber.said, "its entity")
+        subscriber.await_that(lambda: topic in subscriber.payloads, "its entity")
         assert subscriber.json(topic)["device"]["name"] == "Peltier rig"
         assert subscriber.counts[STATUS] == 1
 
@@ -195,9 +196,9 @@ def test_a_rig_may_have_a_name_of_its_own(broker: RunningBroker, way: str) -> No
     outlet = MqttOutlet(broker.url + named[0], named[1])
     try:
         with subscribed(broker) as subscriber:
-            outlet.tell(known())
+            outlet.tell(state_with_forecast())
             topic = "twinmatch/north_wing_2/state"
-            subscriber.await_that(lambda: topic in subscriber.said, "the state")
+            subscriber.await_that(lambda: topic in subscriber.payloads, "the state")
             config = subscriber.json("homeassistant/sensor/twinmatch_north_wing_2_trust/config")
             assert config["device"]["name"] == "north wing/2"
     finally:
@@ -205,7 +206,7 @@ def test_a_rig_may_have_a_name_of_its_own(broker: RunningBroker, way: str) -> No
 
 
 def test_after_a_restart_of_the_broker_all_is_there_again(broker: RunningBroker) -> None:
-    state = known()
+    state = state_with_forecast()
     with telling(broker) as outlet:
         outlet.tell(state)
         broker.kill()
@@ -215,17 +216,17 @@ def test_after_a_restart_of_the_broker_all_is_there_again(broker: RunningBroker)
         broker.start()  # it has forgotten what it kept
         with subscribed(broker) as subscriber:
             entity = "homeassistant/binary_sensor/twinmatch_peltier_fault/config"
-            subscriber.await_that(lambda: {STATE, STATUS, entity} <= subscriber.said.keys(), "all of it")
-            assert subscriber.said[STATUS] == "online"
+            subscriber.await_that(lambda: {STATE, STATUS, entity} <= subscriber.payloads.keys(), "all of it")
+            assert subscriber.payloads[STATUS] == "online"
             assert subscriber.json(STATE)["sample"] == 301
         assert outlet.tell(state) == ""
 
 
 def test_it_ends_while_the_broker_is_away(broker: RunningBroker) -> None:
     with telling(broker) as outlet:
-        outlet.tell(known())
+        outlet.tell(state_with_forecast())
         broker.kill()
-        wait_for(lambda: outlet.tell(known()), "word of the lost connection")
+        wait_for(lambda: outlet.tell(state_with_forecast()), "word of the lost connection")
 
 
 def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_path: Path) -> None:
@@ -242,12 +243,12 @@ def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_p
     with subscribed(broker) as subscriber:
         process = Process(sys.executable, script, broker.url, output=tmp_path / "output.txt")
         try:
-            process.wait_until(lambda: subscriber.said.get(STATUS) == "online", "its status")
+            process.wait_until(lambda: subscriber.payloads.get(STATUS) == "online", "its status")
         finally:
             process.kill()
-        subscriber.await_that(lambda: subscriber.said[STATUS] == "offline", "the last will")
+        subscriber.await_that(lambda: subscriber.payloads[STATUS] == "offline", "the last will")
     with subscribed(broker) as late:
-        late.await_that(lambda: late.said.get(STATUS) == "offline", "the last will, kept")
+        late.await_that(lambda: late.payloads.get(STATUS) == "offline", "the last will, kept")
         assert STATUS in late.retained
 
 
@@ -280,12 +281,12 @@ def test_the_page_tells_a_broker_and_prometheus(
     config.write_text("/**:\n  ros__parameters: {plant: tclab}\n")
     with subscribed(broker) as subscriber:
         page = page_process("--tell", broker.url, "--config", config)
-        subscriber.await_that(lambda: "twinmatch/tclab/state" in subscriber.said, "the state")
+        subscriber.await_that(lambda: "twinmatch/tclab/state" in subscriber.payloads, "the state")
         status, text = ask(page.url, "/metrics")
         assert status == 200
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in text
         page.kill()
-        subscriber.await_that(lambda: subscriber.said["twinmatch/tclab/status"] == "offline", "its will")
+        subscriber.await_that(lambda: subscriber.payloads["twinmatch/tclab/status"] == "offline", "its will")
 
 
 @pytest.mark.parametrize(
@@ -314,10 +315,12 @@ class Entities:
     """Entities as Home Assistant makes them from what is published: their states and attributes."""
 
     def __init__(self, state: DashboardState) -> None:
-        self.said = {
+        self.payloads = {
             topic: json.loads(payload) for topic, payload in messages_of(state, "rig", "The rig").items()
         }
-        self.configs = {t.split("/")[2]: c for t, c in self.said.items() if t.startswith("homeassistant/")}
+        self.configs = {
+            t.split("/")[2]: c for t, c in self.payloads.items() if t.startswith("homeassistant/")
+        }
 
     def state(self, name: str) -> str:
         return self._render(name, "value_template", "state_topic")
@@ -327,11 +330,11 @@ class Entities:
 
     def _render(self, name: str, template: str, topic: str) -> str:
         config = self.configs[f"twinmatch_rig_{name}"]
-        return TEMPLATES.from_string(config[template]).render(value_json=self.said[config[topic]])
+        return TEMPLATES.from_string(config[template]).render(value_json=self.payloads[config[topic]])
 
 
 def test_home_assistant_shows_trust_forecast_and_fault() -> None:
-    state = known()
+    state = state_with_forecast()
     shown = Entities(state)
     assert {
         name: shown.state(name) for name in ("trust", "horizon", "coverage", "forecast_temperature", "fault")
@@ -360,7 +363,7 @@ def test_home_assistant_takes_what_is_not_known_as_unknown() -> None:
 
 
 def test_every_output_has_its_entity_and_all_belong_to_one_device() -> None:
-    shown = Entities(known(description_of(TCLabBoth)))
+    shown = Entities(state_with_forecast(description_of(TCLabBoth)))
     assert shown.state("forecast_temperature") == "45.6"
     assert shown.state("forecast_second_temperature") == "46.6"
     assert len({config["unique_id"] for config in shown.configs.values()}) == len(shown.configs) == 6

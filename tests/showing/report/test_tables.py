@@ -92,7 +92,7 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> No
     assert [c.best for c in weights.rows[0]][1:5] == [True, False, False, False]
 
 
-def test_the_page_shows_it_too(shipped: SessionReport) -> None:
+def test_certainty_structure_and_weights_are_on_the_page(shipped: SessionReport) -> None:
     judgement = shipped.judged.judgement
     telling_judgement = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
     text = replace(shipped, judged=replace(shipped.judged, judgement=telling_judgement)).html()

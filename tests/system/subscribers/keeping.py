@@ -26,10 +26,10 @@ def depends_on(sources: Path) -> list[Path]:
     return sorted(path for glob in globs for path in sources.glob(glob))
 
 
-def key_of(sources: Path, *others: Path) -> str:
+def key_of(sources: Path, *files: Path) -> str:
     """What it depends on: those files, others, the interpreter and its ROS wheels."""
     digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
-    for path in (*depends_on(sources), *others):
+    for path in (*depends_on(sources), *files):
         digest.update(path.name.encode() + path.read_bytes())
     wheels = sorted(f"{d.name}=={d.version}" for d in distributions() if d.name.startswith("ros-"))
     digest.update(" ".join(wheels).encode())

@@ -94,7 +94,7 @@ def wait_for_readers(programs: Any, **counts: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def said(session: Path) -> list[dict[str, Any]]:
+def offline_verdicts(session: Path) -> list[dict[str, Any]]:
     """The verdicts of an offline run, as reader.py shows them."""
     from tests.system.subscribers import reader
     from twinmatch.nodes.messages import message_of
@@ -126,7 +126,9 @@ class Played:
 
 
 @pytest.fixture(scope="module")
-def played(lasting_programs: Any, page: Path, session: Path, said: list[dict[str, Any]]) -> Played:
+def played(
+    lasting_programs: Any, page: Path, session: Path, offline_verdicts: list[dict[str, Any]]
+) -> Played:
     """To the programs of the page, a reader without settings, one kept in, and Cyclone's.
 
     Two more hold nobody up: one hangs from the first verdict on, one dies there. The page's question is asked
@@ -162,7 +164,7 @@ def played(lasting_programs: Any, page: Path, session: Path, said: list[dict[str
     if CYCLONE:
         cyclone.said(rf"^\[{last.stamp},")
     for reader in readers.values():
-        reader.said(f"^{re.escape(json.dumps(said[-1]))}$")
+        reader.said(f"^{re.escape(json.dumps(offline_verdicts[-1]))}$")
         assert reader.end() == 0, reader.text
     return Played(
         scores={name: reader.json for name, reader in readers.items()},
@@ -175,10 +177,12 @@ def played(lasting_programs: Any, page: Path, session: Path, said: list[dict[str
 
 
 @pytest.mark.parametrize("name", ["no settings", "kept in"])
-def test_verdicts_reach_a_stranger_to_the_last_bit(played: Played, said: list[Any], name: str) -> None:
+def test_verdicts_reach_a_stranger_to_the_last_bit(
+    played: Played, offline_verdicts: list[Any], name: str
+) -> None:
     """From when its reader was found, without a hole; and it needs no twinmatch."""
     heard = played.scores[name]
-    assert as_text(heard) == as_text(said[-len(heard) :])
+    assert as_text(heard) == as_text(offline_verdicts[-len(heard) :])
     assert heard[0]["sample"] <= SETTLED < heard[-1]["sample"]
     assert heard[-1]["level_name"] == "trusted"
     assert played.last_words[name] == "imported []"
@@ -189,7 +193,7 @@ def test_two_variables_keep_a_stranger_in(played: Played) -> None:
     assert played.elsewhere["no settings"], "without them it listens on the network: the page says so"
 
 
-def test_shell_lines_are_of_those(stranger: dict[str, str]) -> None:
+def test_shell_lines_set_the_variables_of_the_page_and_one_profile(stranger: dict[str, str]) -> None:
     """And the place of the wheels, for tools that look for packages."""
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
     completed = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
@@ -263,7 +267,7 @@ def test_the_pages_verdicts_nominal_forecasts_and_what_if(
 
 
 def test_a_late_reader_is_given_the_nominal_if_it_asks_for_what_is_latched(
-    programs: Any, played: Played, said: list[Any]
+    programs: Any, played: Played, offline_verdicts: list[Any]
 ) -> None:
     """When it subscribes, publishing has ended: what it receives can only be what was latched."""
     assert played.scores
@@ -271,7 +275,9 @@ def test_a_late_reader_is_given_the_nominal_if_it_asks_for_what_is_latched(
     late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
     late.said("{")
     (nominal,) = late.json
-    (candidate,) = [c for c in said[-1]["candidates"] if c["name"] == said[-1]["nominal"]]
+    (candidate,) = [
+        c for c in offline_verdicts[-1]["candidates"] if c["name"] == offline_verdicts[-1]["nominal"]
+    ]
     identity = ("name", "first", "last", "parameters")
     assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
     assert volatile.json == []
@@ -287,7 +293,7 @@ def table_of_topics() -> dict[str, tuple[str, str, bool]]:
     return {name if name.startswith("/") else f"/{name}": row for name, row in rows}
 
 
-def test_table_of_topics(played: Played) -> None:
+def test_the_page_names_type_and_quality_of_service_of_every_topic(played: Played) -> None:
     table = table_of_topics()
     topics = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
     for name, (kind, reliability, durability) in topics.items():
@@ -298,7 +304,9 @@ def test_table_of_topics(played: Played) -> None:
         assert hasattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def test_open_network(programs: Any, page: Path, session: Path, project: Path) -> None:
+def test_only_an_opened_network_has_sockets_that_other_machines_reach(
+    programs: Any, page: Path, session: Path, project: Path
+) -> None:
     """The page's words for it, with the player instead of the whole graph."""
     export, command = blocks("sh")[2].splitlines()
     assert command == "python launch_scripts/replay.py bags/four_setpoints"

@@ -29,7 +29,7 @@ def namespaces() -> None:
 
 
 @pytest.mark.parametrize(("network", "seconds"), [("loopback", 5), ("open", 60)])
-def test_reader_on_another_machine(
+def test_a_reader_on_another_machine_receives_samples_only_of_an_open_network(
     network: str, seconds: int, stranger: dict[str, str], session: Path, tmp_path: Path
 ) -> None:
     """An open network takes a second or two; five are what a closed one is watched for."""
