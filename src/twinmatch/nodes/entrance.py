@@ -45,7 +45,7 @@ _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
 
 
 @dataclass
-class _Refusal:
+class _ReportedRefusal:
     """A refusal that was reported."""
 
     at: float
@@ -76,7 +76,7 @@ class Entrance:
         self.plant: Expected = None
         self._node = node
         self._health = health
-        self._refusals: dict[str, _Refusal] = {}
+        self._refusals: dict[str, _ReportedRefusal] = {}
         self._senders: dict[str, tuple[float, str]] = {}
         self._seconds: dict[Any, SecondPublisher] = {}
 
@@ -168,7 +168,7 @@ class Entrance:
             reasons_given = sum(refusal.name == name for refusal in self._refusals.values())
             if reasons_given >= self.MAX_REASONS or len(self._refusals) >= self.MAX_KINDS:
                 return
-            self._refusals[kind] = _Refusal(wall_now, f"refused: {name}: {why}", name, topic)
+            self._refusals[kind] = _ReportedRefusal(wall_now, f"refused: {name}: {why}", name, topic)
             self._tell(kind)
         self._refusals[kind].at = wall_now
 

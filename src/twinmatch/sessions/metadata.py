@@ -231,10 +231,11 @@ def doubts(records: Mapping[str, Mapping[str, str]]) -> list[str]:
     sentences = []
     for name, doubt in records.items():
         if name.startswith(DOUBT):
-            span = f"samples {doubt.get('first')} to {doubt.get('last') or 'the last'}"
+            first = doubt.get("first")
+            last = doubt.get("last") or "the last"
             sentences.append(
-                f"{span} are doubted: {doubt.get('topic')} was published by {doubt.get('publishers')}, and a "
-                "twin may have taken others than are recorded"
+                f"samples {first} to {last} are doubted: {doubt.get('topic')} was published by "
+                f"{doubt.get('publishers')}, and a twin may have taken others than are recorded"
             )
     return sentences
 
