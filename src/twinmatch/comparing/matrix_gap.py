@@ -18,6 +18,8 @@ with exact coefficients.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,12 +45,25 @@ ONE = 1 - 1e-12
 """A gap from here on counts as 1."""
 
 PER_DECADE = 8
-MAX_POLISH = 20
-COARSE = 3e-2
-CLOSER = 0.03
-FINE = 1e-6
-"""Width of the first parabola, relative to the frequency; of the next to the one before it; of the last."""
 NEIGHBOURS = np.array([-1.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Polishing:
+    """Parabolas through three points around the top of a peak, each closer together than the one
+    before."""
+
+    most: int = 20
+    """Parabolas, at most."""
+    first: float = 3e-2
+    """Width of the first one, relative to the frequency."""
+    closer: float = 0.03
+    """Width of the next one, relative to the one before it."""
+    last: float = 1e-6
+    """Width of the last one, relative to the frequency."""
+
+
+_POLISHING: Final = _Polishing()
 
 
 @having_value("the ν-gap")
@@ -252,9 +267,9 @@ def frequencies_of(poles: Matrix) -> FloatArray:
 def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: float) -> tuple[float, float]:
     """The top of the peak next to a place, and where it is: parabolas through three points, ever closer."""
     middle = place
-    width = COARSE * abs(place)
-    for _ in range(MAX_POLISH):
-        if not np.isfinite(middle) or width <= FINE * abs(middle):
+    width = _POLISHING.first * abs(place)
+    for _ in range(_POLISHING.most):
+        if not np.isfinite(middle) or width <= _POLISHING.last * abs(middle):
             break
         tried = middle + width * NEIGHBOURS
         found_values = values(tried)
@@ -265,7 +280,7 @@ def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: floa
         bend = before - 2 * centre + after
         step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
         middle += float(np.clip(step, -2.0, 2.0)) * width
-        width *= CLOSER if abs(step) < 1 else 1.0
+        width *= _POLISHING.closer if abs(step) < 1 else 1.0
     return best, place
 
 

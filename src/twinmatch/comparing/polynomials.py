@@ -21,7 +21,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.polynomial import polynomial as power
@@ -248,13 +249,21 @@ ON_AXIS = 1e-6
 SUSPECT = 1e-6
 """Roots of double factors are known to the square root of rounding only; so are the values there."""
 
-NEARLY_SINGULAR = 1e-12
-"""Singular values below this, relative to the largest, make a common factor worth trying."""
 
-ROUNDING = 1e-13
-"""Largest residual of a factor that counts as common, relative to the largest coefficient."""
+@dataclass(frozen=True, slots=True)
+class _CommonFactor:
+    """When polynomials have a common factor to within rounding: where a linear system is nearly singular, one
+    is tried and refined, and accepted if hardly more than the rounding of the coefficients is left."""
 
-STEPS = 3
+    singular: float = 1e-12
+    """Singular values below this, relative to the largest, make a common factor worth trying."""
+    rounding: float = 1e-13
+    """Largest residual of a factor that counts as common, relative to the largest coefficient."""
+    steps: int = 3
+    """Steps of refinement."""
+
+
+_COMMON: Final = _CommonFactor()
 
 
 def without_unstable_common_factor(column: Column, *, discrete: bool) -> Column:
@@ -299,11 +308,11 @@ def _cofactors(rows: FloatArray) -> FloatArray | None:
     """Quotients by the greatest common factor, or None if no factor is common to within rounding."""
     degree = rows.shape[1] - 1
     singular = np.linalg.svd(_proportionality(rows, degree - 1), compute_uv=False)
-    common = rows.shape[0] * degree - int(np.sum(singular > NEARLY_SINGULAR * singular[0]))
+    common = rows.shape[0] * degree - int(np.sum(singular > _COMMON.singular * singular[0]))
     for count in range(min(common, degree), 0, -1):
         _, _, right = np.linalg.svd(_proportionality(rows, degree - count))
         quotients, residual = _refine_quotients(rows, right[-1].reshape(rows.shape[0], -1))
-        if residual <= ROUNDING:
+        if residual <= _COMMON.rounding:
             return quotients
     return None
 
@@ -316,7 +325,7 @@ def _refine_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArr
     degree = rows.shape[1] - width
     products = np.vstack([_product_matrix(q, degree) for q in quotients])
     factor = _least_squares(products, rows.ravel())
-    for _ in range(STEPS):
+    for _ in range(_COMMON.steps):
         slopes = np.hstack([products, block_diag(*[_product_matrix(factor, width - 1)] * count)])
         step = _least_squares(slopes, rows.ravel() - products @ factor)
         factor = factor + step[: degree + 1]

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, cast
+from dataclasses import dataclass
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,15 +33,28 @@ from twinmatch.signals import FloatArray
 RATIOS = np.logspace(-3, 3, 19)
 """Units of the outputs against those of the inputs that are tried first, relative to the given ones."""
 
-FIRST_STEP = 0.7
-LAST_STEP = 0.01
-"""Of the logarithms of all units."""
-LONGER = 1.5
-SHORTER = 0.9
-"""Change of a step that helped and of one that did not: a step in five helps where its size is right."""
-MAX_TRIALS = 400
-MAX_CHANGE = 1e4
-SEED = 1
+
+@dataclass(frozen=True, slots=True)
+class _Climbing:
+    """A random search over the logarithms of all units: a step that helped is followed by a longer one, one
+    that did not by a shorter one, in such proportion that the size stays where one step in five helps."""
+
+    first: float = 0.7
+    """Size of the first step."""
+    last: float = 0.01
+    """Size of a step from which on the search ends."""
+    longer: float = 1.5
+    """Factor on a step that helped."""
+    shorter: float = 0.9
+    """Factor on a step that did not."""
+    trials: int = 400
+    """Steps, at most."""
+    change: float = 1e4
+    """Factor by which a unit may change, at most."""
+    seed: int = 1
+
+
+_CLIMBING: Final = _Climbing()
 
 
 class Scaling(NamedTuple):
@@ -146,18 +160,18 @@ def _climb(value: Callable[[FloatArray], float], units: FloatArray, outputs: int
     whole = np.arange(units.size) < outputs
     units = max((np.where(whole, units * ratio, units) for ratio in RATIOS), key=value)
     best = value(units)
-    size = FIRST_STEP
-    rng = np.random.default_rng(SEED)
+    size = _CLIMBING.first
+    rng = np.random.default_rng(_CLIMBING.seed)
     begin = units
-    for _ in range(MAX_TRIALS):
-        if size < LAST_STEP or units.size == 2:
+    for _ in range(_CLIMBING.trials):
+        if size < _CLIMBING.last or units.size == 2:
             break
         moved = units * np.exp(size * rng.standard_normal(units.size))
-        moved = np.clip(moved, begin / MAX_CHANGE, begin * MAX_CHANGE)
+        moved = np.clip(moved, begin / _CLIMBING.change, begin * _CLIMBING.change)
         reached = value(moved)
         better = reached > best
         if better:
             units = moved
             best = reached
-        size *= LONGER if better else SHORTER
+        size *= _CLIMBING.longer if better else _CLIMBING.shorter
     return units

@@ -44,12 +44,8 @@ which on the other has no support (Burnham and Anderson 2002)."""
 _NINE_IN_TEN: Final = 1.2816
 ENOUGH: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
 """Expected characters after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
-COURSE: Final = 600
-"""Length of an experiment, s, on a plant with a time constant of 100 s."""
 MIN_COURSE: Final = 30
 """Least samples of an experiment."""
-MAX_COURSE: Final = 20_000
-"""Most samples of an experiment."""
 LEAST: Final = 1.0
 """Characters below which a course is not worth its time."""
 _BAND: Final = 1.645
@@ -62,6 +58,19 @@ _PLAIN: Final = 0.1
 """Size of a plain step, as a share of the range."""
 _DIFFERENCE: Final = 0.01
 """Relative change of a drive's share that gives the derivative by it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _CourseLength:
+    """Length of an experiment: six time constants, if these are not too many samples."""
+
+    usual: int = 600
+    """Length, s, on a plant with a time constant of 100 s."""
+    most: int = 20_000
+    """Samples, at most."""
+
+
+_LENGTH: Final = _CourseLength()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +149,10 @@ class ExperimentTerms:
             ControllerError: the range is empty, or the course too short or too long.
         """
         period = holding.period
-        size = size or round(COURSE * plant_scale(plant, period) / period)
-        if not MIN_COURSE <= size <= MAX_COURSE:
+        size = size or round(_LENGTH.usual * plant_scale(plant, period) / period)
+        if not MIN_COURSE <= size <= _LENGTH.most:
             raise ControllerError(
-                f"experiment: {size} samples of {period:g} s; give {MIN_COURSE} to {MAX_COURSE} of them"
+                f"experiment: {size} samples of {period:g} s; give {MIN_COURSE} to {_LENGTH.most} of them"
             )
         low, high = np.array([counted_range(output) for output in plant.outputs.values()]).T
         if within is not None:

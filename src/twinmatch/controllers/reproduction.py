@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,10 +13,20 @@ from twinmatch.signals import FloatArray
 
 _NEAR: Final = 0.01
 """Distance up to which a command is reproduced, as a share of its range: recordings are rounded."""
-_BEGINNING: Final = 20
-"""Samples for each of the law's states from which these are estimated, at most."""
-_DETERMINED: Final = 1e-9
-"""Singular values below this share of the largest determine nothing of the state."""
+
+
+@dataclass(frozen=True, slots=True)
+class _FirstSamples:
+    """How a law's first state is estimated: from some samples for each of its states, since recordings are
+    rounded, and without directions that rounding alone would determine."""
+
+    per_state: int = 20
+    """Samples for each state, at most."""
+    determined: float = 1e-9
+    """Singular values below this share of the largest determine nothing."""
+
+
+_FIRST: Final = _FirstSamples()
 
 
 class Reproduction(NamedTuple):
@@ -51,7 +62,7 @@ def _first_state(
     law: LinearLaw, references: FloatArray, readings: FloatArray, inputs: FloatArray
 ) -> FloatArray:
     """The state with which the first commands within their limits are reproduced best, shape (q,)."""
-    beginning = inputs[: _BEGINNING * law.n_states]
+    beginning = inputs[: _FIRST.per_state * law.n_states]
     is_limited = ((beginning <= law.low) | (beginning >= law.high)).any(axis=1)
     size = int(is_limited.argmax()) if is_limited.any() else len(beginning)
     zero = np.zeros(law.n_states)
@@ -62,4 +73,4 @@ def _first_state(
         powers.append(powers[-1] @ (law.A + law.G @ law.C))
     from_zero = commands_of(law.code, zero, references[:size], readings[:size])[0]
     of_state = (inputs[:size] - from_zero).ravel()
-    return np.array(np.linalg.lstsq(np.vstack(powers), of_state, rcond=_DETERMINED)[0])
+    return np.array(np.linalg.lstsq(np.vstack(powers), of_state, rcond=_FIRST.determined)[0])

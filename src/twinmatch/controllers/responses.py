@@ -27,12 +27,22 @@ from twinmatch.signals import FloatArray
 
 SETTLED: Final = 0.05
 """Share of a set-point's step within which the output has settled; at least three times its noise."""
-_SEEN: Final = 3.0
-"""Movement that counts, in the noise of an output."""
-_GREATER: Final = 0.5
-"""Share of the time that is its greater part."""
 LOAD: Final = 0.1
 """Load at an input, as a share of the drive's range."""
+
+
+@dataclass(frozen=True, slots=True)
+class _SafeConduct:
+    """What a safe course does, beside staying in its range: its outputs come to rest, as far as their noise
+    lets one see it, and its drives are within their limits for more than half of the time."""
+
+    noise: float = 3.0
+    """Movement that counts, in the noise of an output."""
+    limited: float = 0.5
+    """Share of the time at a limit that is its greater part."""
+
+
+_SAFE: Final = _SafeConduct()
 
 
 class Run(NamedTuple):
@@ -117,7 +127,7 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
     low_limits, high_limits = limits_of(law)
     is_limited = (run.inputs <= low_limits) | (run.inputs >= high_limits)
     for i, name in enumerate(plant.drives):
-        mostly_limited = np.mean(is_limited[:, i]) > _GREATER or is_limited[end:, i].all()
+        mostly_limited = np.mean(is_limited[:, i]) > _SAFE.limited or is_limited[end:, i].all()
         conduct[f"{name} is at a limit for the greater part of the time"] = bool(mostly_limited)
     return conduct
 
@@ -126,7 +136,7 @@ def _settles(last_outputs: FloatArray, references: FloatArray, output: Output) -
     """Whether an output hardly moves at the end of a course with these set-points, shape (N,)."""
     largest_step = np.abs(np.diff(references)).max(initial=0.0)
     step = largest_step or LOAD * np.ptp(output.set_points or output.span)
-    return bool(np.ptp(last_outputs) <= max(SETTLED * step, _SEEN * output.noise))
+    return bool(np.ptp(last_outputs) <= max(SETTLED * step, _SAFE.noise * output.noise))
 
 
 def _stops_switching(run: Run, size: int) -> bool:
@@ -213,7 +223,7 @@ def step_figures(reference: FloatArray, output: FloatArray, noise: float, period
         step = reference[first] - reference[first - 1]
         error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
         overshoots.append(max(float(error.max()), 0.0))
-        times.append(period * _samples_to_settle(error, max(SETTLED * abs(step), _SEEN * noise)))
+        times.append(period * _samples_to_settle(error, max(SETTLED * abs(step), _SAFE.noise * noise)))
     return StepFigures(max(overshoots, default=math.nan), max(times, default=math.nan))
 
 

@@ -28,15 +28,25 @@ from twinmatch.signals import FloatArray, Window
 Aim = Literal["load", "tracking", "quiet"]
 AIMS: Final[tuple[Aim, ...]] = ("load", "tracking", "quiet")
 TUNED: Final = ("proportional", "integral", "derivative")
-MIN_GAIN: Final = 0.03
-"""Least relative improvement that is worth other gains."""
-MAX_STEPS: Final = 40
-TOLERANCE: Final = 1e-2
-"""By how much limits may be missed, relative to them."""
-MAX_COUNTED: Final = 1e3
-"""Sensitivity of a loop that is hardly stable, or not."""
 STEP: Final = 0.1
 """Step of the set-point, as a share of its range."""
+
+
+@dataclass(frozen=True, slots=True)
+class _RetuningLimits:
+    """When a search for gains ends, and what counts as better: three times the tolerance of the limits."""
+
+    least_gain: float = 0.03
+    """Least relative improvement that is worth other gains."""
+    steps: int = 40
+    """Steps of the search, at most."""
+    tolerance: float = 1e-2
+    """By how much limits may be missed, relative to them."""
+    largest_sensitivity: float = 1e3
+    """Sensitivity as which that of a loop counts that is hardly stable, or not."""
+
+
+_LIMITS: Final = _RetuningLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +121,9 @@ def retune(
     before = float(tuning.sensitivities(start).max())
     after = float(tuning.sensitivities(best).max())
     improvement = 1.0 - math.exp(tuning.criterion(best) - tuning.criterion(start))
-    ceiling = max_sensitivity * (1 + TOLERANCE)
-    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (1 + TOLERANCE)
-    gains_nothing = improvement < MIN_GAIN or is_worse
+    ceiling = max_sensitivity * (1 + _LIMITS.tolerance)
+    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (1 + _LIMITS.tolerance)
+    gains_nothing = improvement < _LIMITS.least_gain or is_worse
     if after > max(ceiling, before) or (before <= ceiling and gains_nothing):
         why = f"there is nothing to gain within M_s ≤ {max_sensitivity:g} and a factor of {most_change:g}"
         return Retuned(gains, gains, aim, 0.0, (before, before), why)
@@ -168,7 +178,7 @@ class _Tuning:
         largest = []
         for case in self.cases:
             of_plants = [WholeLoop(plant, linear).sensitivity() for plant in case.plants]
-            largest.append(min(max(of_plants), MAX_COUNTED))
+            largest.append(min(max(of_plants), _LIMITS.largest_sensitivity))
         return np.array(largest)
 
     def cost(self, x: FloatArray) -> tuple[float, FloatArray]:
@@ -203,7 +213,7 @@ class _Tuning:
             method="SLSQP",
             bounds=Bounds(start - reach, start + reach),
             constraints=limits,
-            options={"maxiter": MAX_STEPS, "ftol": 1e-5},
+            options={"maxiter": _LIMITS.steps, "ftol": 1e-5},
         )
         return np.asarray(solution.x, dtype=np.float64)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,14 +19,24 @@ from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.dynamics import Law
 from twinmatch.signals import FloatArray
 
-_WIDER: Final = 1.5
-"""Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does."""
-_NOISE: Final = 8.0
-"""What is added to the bands on both sides, in the outputs' noise: what a sensor does not resolve."""
-_STILL: Final = 10.0
-"""How far outputs may still move under the law that runs before another is tried, in their noise."""
 DRAWS: Final = 80
 """Draws of the parameters over all twins, so that an operator waits for two seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class _TrialBands:
+    """The bands of a law on trial, wider than those of nine draws in ten: it is taken back for what hardly
+    any sound law does. Outputs that still move under the law that runs would not be told from its effects."""
+
+    factor: float = 1.5
+    """Factor on the half widths."""
+    noise: float = 8.0
+    """What is added on both sides, in the outputs' noise: what a sensor does not resolve."""
+    still: float = 10.0
+    """How far outputs may still move before another law is tried, in their noise."""
+
+
+_BANDS: Final = _TrialBands()
 
 
 class TrialAnswer(NamedTuple):
@@ -53,10 +64,10 @@ def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: Fl
     answer = try_controller(members, ControllerQuestion(law, references, before, holding, DRAWS))
     noise = members[0].parameters.model.noise
     running = answer.running
-    if running is not None and (np.ptp(running.outputs[1], axis=0) > _STILL * noise).any():
+    if running is not None and (np.ptp(running.outputs[1], axis=0) > _BANDS.still * noise).any():
         raise ControllerError("controller: the outputs have not settled yet; wait until they rest")
     is_safe = answer.decision is ControllerDecision.SAFE
     courses = answer.courses if is_safe or running is None else running
     low, median, high = courses.outputs
-    half = _WIDER * np.maximum(high - median, median - low) + _NOISE * noise
+    half = _BANDS.factor * np.maximum(high - median, median - low) + _BANDS.noise * noise
     return TrialAnswer(answer, median - half, median + half)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,9 +24,6 @@ from twinmatch.comparing import having_value
 from twinmatch.dynamics import Linear, LinearLaw, largest_eigenvalue, loop_matrix
 from twinmatch.signals import FloatArray
 
-_SLOWEST: Final = 1e-6
-"""Lowest frequency of the grid, radians per sample: a period of two months at 1 s."""
-_GRID: Final = 400
 _AROUND: Final = np.linspace(-3.0, 3.0, 25)
 """Places of further frequencies around a resonance, in half widths of its peak."""
 
@@ -33,6 +31,19 @@ LEAST_GAIN: Final = 1e-6
 """Factor on a gain below which the loop counts as opened: an integrating plant is lost at 0 itself."""
 
 _Response = Callable[[float], complex]
+
+
+@dataclass(frozen=True, slots=True)
+class _FrequencyGrid:
+    """The grid on which crossings are looked for: from a period of two months at 1 s on, 60 frequencies in a
+    decade."""
+
+    slowest: float = 1e-6
+    """Lowest frequency, radians per sample."""
+    count: int = 400
+
+
+_FREQUENCIES: Final = _FrequencyGrid()
 
 
 class ChannelMargins(NamedTuple):
@@ -133,7 +144,7 @@ class WholeLoop(NamedTuple):
 def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
     """A grid over all frequencies with both ends, finer around the resonances of these eigenvalues; radians
     per sample."""
-    grid = [np.zeros(1), np.geomspace(_SLOWEST, np.pi, _GRID)]
+    grid = [np.zeros(1), np.geomspace(_FREQUENCIES.slowest, np.pi, _FREQUENCIES.count)]
     for value in eigenvalues[eigenvalues.imag > 0]:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)

@@ -24,15 +24,33 @@ over hundreds of samples, accurate to a relative 1e-14. The condition number is 
 QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
-_MAX_STEPS = 8
-_MAX_CUTS = 3
-_MAX_REFITS = 16
-_MAX_OF_REFIT = 30
-_FIRST_SPAN = 0.1
-_FAR = 2.0
-_CUT = 0.4
-_CLOSE = 0.02
-"""Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
+
+@dataclass(frozen=True, slots=True)
+class _ProfileSearch:
+    """How an end of an interval is found. Newton's iteration takes a few steps, each shortened a few times
+    where it leads too far; where a valley folds back, the end is bracketed instead, with refits of all other
+    parameters. An end that is off by 2 % of the rise is off by 1 % of the half interval, as the rise is
+    nearly a parabola."""
+
+    steps: int = 8
+    """Steps of Newton, at most."""
+    cuts: int = 3
+    """How often one of them is shortened, at most."""
+    cut: float = 0.4
+    """Factor on the way of a step that is shortened."""
+    far: float = 2.0
+    """Rises above the limit, in units of the allowed one, from which on a step leads too far."""
+    refits: int = 16
+    """Refits of a bracketed end, at most."""
+    evaluations: int = 30
+    """Evaluations of a refit, at most."""
+    first_span: float = 0.1
+    """First distance of a bracketed end, in the parameter's scale."""
+    close: float = 0.02
+    """Tolerance of an end, as a share of the allowed rise of the sum of squares."""
+
+
+_PROFILE: Final = _ProfileSearch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +203,7 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
     point = inside = start
     limit = start.cost + rise
     bound = float(problem.upper[i] if sign > 0 else problem.lower[i])
-    for _ in range(_MAX_STEPS):
+    for _ in range(_PROFILE.steps):
         values, cost, gradient, hessian = point
         box = hessian, gradient, values, problem.lower, problem.upper, i
         gain = cost - model_profile(*box, 0.0, cost)[1]
@@ -194,15 +212,15 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
             inside = point
             if values[i] == bound:
                 return None
-        if abs(excess) <= _CLOSE * rise and gain <= _CLOSE * rise:
+        if abs(excess) <= _PROFILE.close * rise and gain <= _PROFILE.close * rise:
             return values
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
-        for _ in range(_MAX_CUTS):
+        for _ in range(_PROFILE.cuts):
             step = model_profile(*box, way, cost)[0]
             trial = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
-            if trial.cost <= max(limit + _FAR * rise, cost):
+            if trial.cost <= max(limit + _PROFILE.far * rise, cost):
                 break
-            way *= _CUT
+            way *= _PROFILE.cut
         else:
             break
         point = trial
@@ -218,8 +236,8 @@ def _find_end(
     far = bound
     beyond = math.inf
     ahead = 1.0
-    span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(near[i]))
-    for _ in range(_MAX_REFITS):
+    span = math.copysign(_PROFILE.first_span * float(problem.scales[i]), bound - float(near[i]))
+    for _ in range(_PROFILE.refits):
         near_value = float(near[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
@@ -232,9 +250,9 @@ def _find_end(
         upper = problem.upper.copy()
         start = near.copy()
         lower[i] = upper[i] = start[i] = target
-        refit = problem.experiment.descend(start, lower, upper, problem.scales, _MAX_OF_REFIT)
+        refit = problem.experiment.descend(start, lower, upper, problem.scales, _PROFILE.evaluations)
         excess = refit.cost - limit
-        if abs(excess) <= _CLOSE * rise:
+        if abs(excess) <= _PROFILE.close * rise:
             return refit.values
         if excess > 0.0:
             far = target

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -29,26 +29,37 @@ from twinmatch.fitting.estimation import (
 from twinmatch.fitting.problem import Problem
 from twinmatch.signals import FloatArray, Window
 
-_LEVELS = 8
-"""Number of set-points considered, over the range that the plant declares for them."""
-_MIN_STEP = 0.5
-"""Smallest suggested step, as a share of the distance between two of them."""
-_LEAD = 20
-_AFTER = 240
-"""Samples of the window kept before its last step, and samples simulated after the new one."""
-_MOVED = 20.0
-"""Change of the set-point that counts as a step, in units of the output's noise."""
-_REACHED = 10.0
-"""Largest final distance of the output from the set-point, in the same units."""
-_WORTH = 1.25
-"""Least improvement worth a suggestion."""
-_NEARLY = 0.9
-"""Share of the best improvement that the smallest sufficient step must reach."""
 _WIDEST = 2.0
 """Largest ratio of the ends of a believed parameter's interval; where zero is arbitrary, the interval must
 not exceed the parameter's scale. A ratio does not depend on where in the valley the estimate lies."""
 _TIGHTER = 3.0
 """Factor by which a ratio of two parameters must be known better than each alone to be reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class _StepSuggestion:
+    """Which step of the set-point is suggested: the smallest of a few over the declared range that is nearly
+    as good as the best. The next window is this one's last regime and the one after the step."""
+
+    levels: int = 8
+    """Number of set-points considered, over the range that the plant declares for them."""
+    least_step: float = 0.5
+    """Smallest suggested step, as a share of the distance between two of them."""
+    lead: int = 20
+    """Samples of the window kept before its last step."""
+    after: int = 240
+    """Samples simulated after the new step."""
+    moved: float = 20.0
+    """Change of the set-point that counts as a step, in units of the output's noise."""
+    reached: float = 10.0
+    """Largest final distance of the output from the set-point, in the same units."""
+    worth: float = 1.25
+    """Least improvement worth a suggestion."""
+    nearly: float = 0.9
+    """Share of the best improvement that the smallest sufficient step must reach."""
+
+
+_SUGGESTION: Final = _StepSuggestion()
 
 
 def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name: str) -> str:
@@ -66,8 +77,8 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     least_known = np.linalg.eigh(fisher * np.outer(problem.scales, problem.scales))[1][:, 0]
     place = problem.names.index(name)
     present = float(problem.window.reference[-1])
-    levels = np.linspace(*(plant.output.set_points or plant.output.span), _LEVELS)
-    least_step = _MIN_STEP * (levels[1] - levels[0])
+    levels = np.linspace(*(plant.output.set_points or plant.output.span), _SUGGESTION.levels)
+    least_step = _SUGGESTION.least_step * (levels[1] - levels[0])
     steps: list[_StepGain] = []
     for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
         if abs(level - present) >= least_step:
@@ -80,7 +91,7 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
                 steps.append(_StepGain(level, of_direction, of_name))
     best = max((step.of_direction for step in steps), default=0.0)
     for step in steps:
-        if step.of_direction >= _NEARLY * best and step.of_name >= _WORTH:
+        if step.of_direction >= _SUGGESTION.nearly * best and step.of_name >= _SUGGESTION.worth:
             times = f"{step.of_name:.0f}" if step.of_name >= 2.5 else f"{step.of_name:.1f}"
             way = f"{present:g} to {step.level:.4g} {plant.output.unit}"
             return f"a step from {way} would determine {name} about {times} times better"
@@ -102,20 +113,20 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     """Scaled covariance from the next window; None if the output does not reach the set-point."""
     window = problem.window
     noise = problem.base.model.plant.output.noise
-    steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _MOVED * noise)
-    first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
+    steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _SUGGESTION.moved * noise)
+    first = max(int(steps[-1]) + 1 - _SUGGESTION.lead, 0) if steps.size else 0
     last_part = window.part(window.first + first, window.last)
     ahead = Window(
-        np.full(_AFTER, level),
-        np.full(_AFTER, last_part.output[-1]),
-        np.zeros(_AFTER),
+        np.full(_SUGGESTION.after, level),
+        np.full(_SUGGESTION.after, last_part.output[-1]),
+        np.zeros(_SUGGESTION.after),
         first=last_part.last + 1,
         period=last_part.period,
-        disturbances=np.repeat(last_part.disturbances[-1:], _AFTER, axis=0),
+        disturbances=np.repeat(last_part.disturbances[-1:], _SUGGESTION.after, axis=0),
     )
     next_one = replace(problem, window=last_part.joined(ahead))
     response = next_one.experiment.simulate(values)
-    if not abs(response.output[-1] - level) <= _REACHED * noise:
+    if not abs(response.output[-1] - level) <= _SUGGESTION.reached * noise:
         return None
     return _scaled_inverse(problem, next_one.evaluate(values).hessian)
 

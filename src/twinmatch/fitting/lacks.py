@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final, NamedTuple
 
@@ -32,13 +32,23 @@ from twinmatch.errors import TwinmatchError
 
 LEFT: Final = 3.0
 """Mean squared weighted residual above which a driven twin may lack something."""
-_EXPLAINED: Final = 0.5
-"""Share of the squared residuals that an effect must explain to be named."""
-_SURE: Final = 6.0
-"""Nats by which the charge must fall: 1 in 400."""
 _UNKNOWN: Final = 50.0
 """Time constant of a plant that only integrates, sampling periods."""
 _NAMES: Final = {one.__name__: one for one in (DeadTime, Parameter, State, dry_friction, replace)}
+
+
+@dataclass(frozen=True, slots=True)
+class _Justification:
+    """What an effect has to explain to be named: half of what the plant leaves, and more than it costs by six
+    nats: 1 in 400."""
+
+    explained: float = 0.5
+    """Share of the squared residuals that it must explain."""
+    sure: float = 6.0
+    """Nats by which the charge must fall."""
+
+
+_JUSTIFIED: Final = _Justification()
 
 
 class _Effect(NamedTuple):
@@ -167,13 +177,13 @@ def lack_of(
     best = None
     structure = base.model.structure
     price = math.log(max(independent, 2.0))
-    least = independent * math.log(max(left, 1.0)) / 2 - _SURE
+    least = independent * math.log(max(left, 1.0)) / 2 - _JUSTIFIED.sure
     for grown in _plants_with_effects(base.model, period):
         fitted = fit(grown.model.parameters(**base))
         if fitted is None:
             continue
         parameters, left_by_effect = fitted
-        if left_by_effect > (1.0 - _EXPLAINED) * left:
+        if left_by_effect > (1.0 - _JUSTIFIED.explained) * left:
             continue
         added = grown.model.structure.n_parameters() - structure.n_parameters()
         charge = (independent * math.log(max(left_by_effect, 1.0)) + added * price) / 2

@@ -30,15 +30,24 @@ from twinmatch.forecasting.baselines import Visited
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample, Signals
 
-DRIFT: Final = 2e-4
-"""Least drift of a state from the equations per second, in units of its span, at a time constant of 100 s:
-0.03 K on the rig."""
-UNKNOWN: Final = 0.03
-"""Initial uncertainty of a state, in units of its span: 4.5 K."""
-SWIFT: Final = 0.2
-"""Error of a forecast movement from sample to sample, as a share of it."""
-LIMIT: Final = 4.0
-"""Limit on innovations, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
+
+@dataclass(frozen=True, slots=True)
+class _FilterSettings:
+    """How far a twin's states are believed, on a plant of any kind: in units of the states' spans, so that on
+    the rig a state drifts by 0.03 K in a second from what the equations say, and begins with 4.5 K."""
+
+    drift: float = 2e-4
+    """Least drift of a state from the equations per second, in units of its span, at a time constant of 100
+    s."""
+    unknown: float = 0.03
+    """Initial uncertainty of a state, in units of its span."""
+    swift: float = 0.2
+    """Error of a forecast movement from sample to sample, as a share of it."""
+    limit: float = 4.0
+    """Limit on innovations, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
+
+
+_FILTER: Final = _FilterSettings()
 
 
 class StateFilter:
@@ -89,11 +98,11 @@ class StateFilter:
                 sample.outputs,
                 period=self.period,
                 drift=drift_of(self.parameters.model),
-                start=UNKNOWN * _spans(self.parameters.model),
+                start=_FILTER.unknown * _spans(self.parameters.model),
                 input=sample.inputs,
                 disturbances=row,
                 states=self._states,
-                limit=LIMIT,
+                limit=_FILTER.limit,
                 adaptive=True,
             )
             self._observer.correct(sample.outputs, row, sample.inputs)
@@ -164,7 +173,7 @@ def foresight_of(
 ) -> Foresight:
     """The forecasts of twins: of each the parameters, and the names of those that are unsure."""
     drift = [drift_of(parameters.model) for parameters, _ in twins]
-    return Foresight(twins, law, drift=drift, period=period, swift=SWIFT)
+    return Foresight(twins, law, drift=drift, period=period, swift=_FILTER.swift)
 
 
 @functools.cache
@@ -182,7 +191,7 @@ def deviations(model: Model, variances: FloatArray) -> FloatArray:
 def drift_of(model: Model) -> FloatArray:
     """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
     changed."""
-    return DRIFT * _spans(model) / math.sqrt(usual_scale(model.plant))
+    return _FILTER.drift * _spans(model) / math.sqrt(usual_scale(model.plant))
 
 
 class Followers:

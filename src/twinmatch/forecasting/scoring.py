@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -211,20 +212,31 @@ class Calibration:
         return np.asarray(quotients[places, self._signals])
 
 
-_PRIOR_WEIGHT: Final = 3.0
-"""Weight of the noise as prior mean error of a candidate, in forecasts."""
-_NARROWEST: Final = 0.3
-"""Least width, in units of the noise: a few small errors may be chance."""
-_SHRINKAGE: Final = 5.0
-"""Weight, in forecasts, with which a gain is shrunk to zero: who is new has saved nothing yet."""
 _LN10: Final = float(np.log(10.0))
-_COMPARED: Final = 4.0
-"""Effective number of forecasts from which on skill is computed."""
 _ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %."""
 _LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
 """Columns of an account at a horizon: characters of all signals together, and the effective number of
 forecasts in that sum; the number in the means; and from here on those of `Ledger`."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Accounts:
+    """How few forecasts are judged. The first ones count beside the noise of the sensor, as if three had
+    erred by it; a few small errors may be chance, so no density is narrower than a third of it; and who is
+    new has saved nothing yet."""
+
+    prior: float = 3.0
+    """Weight of the noise as prior mean error of a candidate, in forecasts."""
+    narrowest: float = 0.3
+    """Least width, in units of the noise."""
+    shrinkage: float = 5.0
+    """Weight, in forecasts, with which a gain is shrunk to zero."""
+    compared: float = 4.0
+    """Effective number of forecasts from which on skill is computed."""
+
+
+_ACCOUNTS: Final = _Accounts()
 
 
 class Ledger:
@@ -251,7 +263,7 @@ class Ledger:
         """Columns, one for each baseline and then for each baseline and signal, of the mean square of the
         difference of both errors, relative to their means; before there is one it counts as large as the
         errors, 1. The first are those of the mean over the signals."""
-        self._new = np.concatenate([[0.0, 0.0, _PRIOR_WEIGHT], sizes, squares])
+        self._new = np.concatenate([[0.0, 0.0, _ACCOUNTS.prior], sizes, squares])
         """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
         """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
@@ -308,7 +320,7 @@ class Ledger:
         """Length of the readings with these mean errors, shape (accounts, signals), in characters, each given
         a Laplace density of the mean error so far; shape (accounts,)."""
         mean_errors = account[:, _MEANS : _MEANS + self.noise.size]
-        widths = np.maximum(mean_errors, _NARROWEST * self.noise)
+        widths = np.maximum(mean_errors, _ACCOUNTS.narrowest * self.noise)
         characters = np.log10(2.0 * widths) + means / (widths * _LN10)
         return np.asarray(characters.sum(axis=1))
 
@@ -334,7 +346,7 @@ class Ledger:
             ratios = ratios[:, signal]
             squares = squares[count + signal :: self.noise.size]
         errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
-        has_enough = account[:, _WEIGHT] >= _COMPARED
+        has_enough = account[:, _WEIGHT] >= _ACCOUNTS.compared
         skill = 1.0 - np.exp(ratios)
         high = 1.0 - np.exp(ratios - _ONE_SIDED * errors)
         return np.where(has_enough, skill, np.nan), np.where(has_enough, high, np.nan)
@@ -355,7 +367,7 @@ class Ledger:
         weights = accounts[:, :, _WEIGHT]
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
         trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
-        return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))
+        return np.asarray((weights * trivial - lengths) / (weights + _ACCOUNTS.shrinkage))
 
 
 def _squared_differences(relative: FloatArray) -> FloatArray:

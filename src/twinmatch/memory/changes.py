@@ -34,25 +34,48 @@ MIN_TREND: Final = 6
 """Least number of sessions for a trend: in fewer, half a step looks like it."""
 MAX_SESSIONS: Final = 60
 """Newest sessions that are compared."""
-CREDIBLE: Final = 0.7
-"""Evidence from which a change is reported, beyond what it costs to say it, nats."""
-_RARER: Final = 1.0
-"""Evidence by which a trend must lead a step, nats: few plants change evenly."""
-_CLOSE: Final = 2.0
-"""Evidence by which the best moment of a step leads one that is not worth considering."""
-_TAILS: Final = 5.0
-"""Degrees of freedom of Student's distribution."""
 _SPREADS: Final = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
 """Spreads between sessions that are tried, in units of the median standard deviation of a session."""
-_SIZE: Final = 0.15
-"""Standard deviation of a change before it was seen, as a logarithm or in units of the parameter's scale."""
-_ROUNDS: Final = 8
-_MOST: Final = 500.0
-"""Evidence above which more makes no difference, nats: its exponential has to be finite."""
 _TIGHTER: Final = 3.0
 """Factor by which a ratio or product must be known better than its parts, as in a match."""
 _DAY: Final = 86_400e9
 _NINETY: Final = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class _RobustFit:
+    """Levels and sizes under errors with heavy tails, so that one odd session pulls nothing: Student's
+    distribution with five degrees of freedom, by least squares that are weighted again and again."""
+
+    degrees: float = 5.0
+    """Degrees of freedom of Student's distribution."""
+    size: float = 0.15
+    """Standard deviation of a change before it was seen, as a logarithm or in units of the parameter's
+    scale."""
+    rounds: int = 8
+    """How often the weights are computed."""
+
+
+_ROBUST: Final = _RobustFit()
+
+
+@dataclass(frozen=True, slots=True)
+class _Reporting:
+    """From which evidence on, in nats beyond what it costs to say it, a change is reported. Few plants change
+    evenly, so that a trend has to lead. Moments of a step that are two nats behind the best are seven times
+    less likely, and not worth considering."""
+
+    least: float = 0.7
+    """Evidence from which a change is reported."""
+    trend: float = 1.0
+    """Evidence by which a trend must lead a step."""
+    moments: float = 2.0
+    """Evidence by which the best moment of a step leads one that is not considered."""
+    most: float = 500.0
+    """Evidence above which more makes no difference: its exponential has to be finite."""
+
+
+_REPORTING: Final = _Reporting()
 
 
 class ParameterHistory(NamedTuple):
@@ -332,13 +355,13 @@ def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
 def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted:
     """The same for one spread, by iteratively reweighted least squares."""
     weights = np.tile(1.0 / variances, (len(shapes), 1))
-    for _ in range(_ROUNDS):
+    for _ in range(_ROBUST.rounds):
         # normal equations: a·level + b·size = Σ w·y and b·level + c·size = Σ w·shape·y
         weighted_shapes = weights * shapes
         a = weights.sum(axis=1)
         b = weighted_shapes.sum(axis=1)
         c = (weights * shapes**2).sum(axis=1)
-        c += 1.0 / _SIZE**2
+        c += 1.0 / _ROBUST.size**2
         determinant = a * c - b**2
         of_y = weights @ y
         of_shape = weighted_shapes @ y
@@ -346,10 +369,11 @@ def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted
         size = (a * of_shape - b * of_y) / determinant
         residuals = y - level[:, None] - size[:, None] * shapes
         squares = np.square(residuals) / variances
-        weights = (_TAILS + 1.0) / (_TAILS + squares) / variances
-    losses = (_TAILS + 1.0) * np.log1p(squares / _TAILS) + np.log(variances)
+        weights = (_ROBUST.degrees + 1.0) / (_ROBUST.degrees + squares) / variances
+    losses = (_ROBUST.degrees + 1.0) * np.log1p(squares / _ROBUST.degrees) + np.log(variances)
     likelihood = -0.5 * losses.sum(axis=1)
-    evidence = likelihood - 0.5 * np.log(determinant) - 0.5 * np.square(size / _SIZE) - math.log(_SIZE)
+    evidence = likelihood - 0.5 * np.log(determinant)
+    evidence = evidence - 0.5 * np.square(size / _ROBUST.size) - math.log(_ROBUST.size)
     return _Fitted(evidence, level, size, np.sqrt(a / determinant))
 
 
@@ -368,7 +392,7 @@ def _changes(history: ParameterHistory, sessions: _SessionTimes, among: int) -> 
         return []
     hypotheses = _Hypotheses.of(history, sessions)
     evidence = hypotheses.evidence_for_any() - math.log(among)
-    if evidence < CREDIBLE:
+    if evidence < _REPORTING.least:
         return []
     if hypotheses.is_trend:
         trend = _change(history, sessions, hypotheses, -1, evidence)
@@ -411,17 +435,19 @@ class _Hypotheses(NamedTuple):
         """Evidence for all changes together: half of their probability is that of steps, half of a trend."""
         n_trends = self.evidence.size - self.n_steps
         kinds = np.array([0.5 / self.n_steps] * self.n_steps + [0.5] * n_trends)
-        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _MOST))))
+        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _REPORTING.most))))
 
     @property
     def is_trend(self) -> bool:
         """Whether a trend is clearly more credible than every step."""
-        return self.evidence.size > self.n_steps and not self.of_steps.max() >= self.evidence[-1] - _RARER
+        if self.evidence.size == self.n_steps:
+            return False
+        return not self.of_steps.max() >= self.evidence[-1] - _REPORTING.trend
 
     @property
     def latest_step(self) -> int:
         """Number of the latest credible step: from it on the change is complete."""
-        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _CLOSE)[-1])
+        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _REPORTING.moments)[-1])
 
 
 def _change(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,11 +19,20 @@ MAX_SESSIONS: Final = 12
 """Newest sessions that count: a plant ages."""
 MAX_TWINS: Final = 4
 """Twins of single sessions that forecast from the first sample on; each costs time at every forecast."""
-_EXPECTED: Final = 0.15
-"""Spread that is expected of one plant's parameters before any was seen, relative to their size: it counts as
-one session, so that few sessions do not look more alike than they are."""
-_FAR: Final = 3.0
-"""Deviations from the median are clipped at so many usual ones: one odd session widens nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _BetweenSessions:
+    """The spread between sessions of one plant. Before any was seen, 15 % are expected; that counts as one
+    session, so that few sessions do not look more alike than they are."""
+
+    expected: float = 0.15
+    """Expected spread of a parameter, relative to its size."""
+    clipped: float = 3.0
+    """Deviations from the median are clipped at so many usual ones: one odd session widens nothing."""
+
+
+_BETWEEN: Final = _BetweenSessions()
 
 
 def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]:
@@ -87,9 +96,9 @@ def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArra
     for value, parameter in zip(centre, declared, strict=True):
         size = abs(value) if parameter.relative else parameter.scale
         usual_sizes.append(size or parameter.scale)
-    usual = _EXPECTED * np.array(usual_sizes)
+    usual = _BETWEEN.expected * np.array(usual_sizes)
     away = np.abs(values - centre)
-    most = _FAR * np.maximum(MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _FAR)
+    most = _BETWEEN.clipped * np.maximum(MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _BETWEEN.clipped)
     squares = np.square(np.minimum(away, most)).sum(axis=0)
     return np.asarray(np.sqrt((squares + np.square(usual)) / len(values)))
 
