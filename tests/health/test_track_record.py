@@ -90,7 +90,7 @@ def test_errors_as_large_as_the_movements_earn_nothing() -> None:
         record = record.after(3.0, 3.0)
     assert not record.earned(NOISE)
     for _ in range(100):
-        record = record.after(0.1, 3.0, kept=0.9)
+        record = record.after(0.1, 3.0, factor=0.9)
     assert record.earned(NOISE)
 
 

@@ -24,17 +24,30 @@ from twinmatch.signals import KELVIN
 
 MAX_BYTES: Final = 512 * 1024 * 1024
 """Largest file, and largest total size of its content, bytes."""
-MAX_FILES: Final = 20_000
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What an archive may hold, and what is listed of it."""
+
+    files: int = 20_000
+    """Most files."""
+    variables: int = 100_000
+    """Most variables."""
+    listed: int = 60
+    """Most variables listed per kind."""
+
+
+_LIMITS: Final = _Limits()
+
+
 _BLOCK: Final = 1 << 20
 CO_SIMULATION: Final = "co-simulation"
 MODEL_EXCHANGE: Final = "model exchange"
-MAX_VARIABLES: Final = 100_000
 
 _REAL: Final = ("Real", "Float64")
 _WORDS: Final = ("String", "Binary")
 _CELSIUS: Final = ("°C", "degC")
-_MAX_LISTED: Final = 60
-"""Most variables listed per kind."""
 
 
 class FmuError(PlantError):
@@ -68,14 +81,19 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
                     Path(archive.extract(info, folder)).chmod(0o700)
             return names
     except (
-        zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError,
-    ) as error:  # fmt: skip
+        zipfile.BadZipFile,
+        zipfile.LargeZipFile,
+        zlib.error,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+    ) as error:
         raise FmuError(f"is not an FMU, or is damaged: {error}") from error
 
 
 def _check(infos: list[zipfile.ZipInfo]) -> None:
-    if len(infos) > MAX_FILES:
-        raise FmuError(f"has {len(infos)} files; the limit is {MAX_FILES}")
+    if len(infos) > _LIMITS.files:
+        raise FmuError(f"has {len(infos)} files; the limit is {_LIMITS.files}")
     for info in infos:
         name = PurePosixPath(info.filename)
         if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
@@ -189,8 +207,10 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises many kinds
         raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
-    if len(description.modelVariables) > MAX_VARIABLES:
-        raise ValueError(f"it has {len(description.modelVariables)} variables; the limit is {MAX_VARIABLES}")
+    if len(description.modelVariables) > _LIMITS.variables:
+        raise ValueError(
+            f"it has {len(description.modelVariables)} variables; the limit is {_LIMITS.variables}"
+        )
     ways = ((MODEL_EXCHANGE, description.modelExchange), (CO_SIMULATION, description.coSimulation))
     supported = [(kind, way) for kind, way in ways if way is not None]
     for _, way in supported:
@@ -242,13 +262,15 @@ def _variability(declared: Any) -> str:
 
 def _changes_at_events(declared: Any) -> bool:
     """Whether it may be a memory of events: of what is not real, words apart."""
-    own = declared.causality in {"local", "output"} and declared.type not in _WORDS
-    return own and _variability(declared) == "discrete"
+    has_own_value = declared.causality in {"local", "output"} and declared.type not in _WORDS
+    return has_own_value and _variability(declared) == "discrete"
 
 
 def _foreign(declared: Any) -> str:
     """Name, type with dimensions, causality and variability."""
-    sizes = (each.start or getattr(each.variable, "name", "?") for each in declared.dimensions or ())
+    sizes = (
+        dimension.start or getattr(dimension.variable, "name", "?") for dimension in declared.dimensions or ()
+    )
     kind = declared.type + "".join(f"[{size}]" for size in sizes)
     about = ", ".join(filter(None, (declared.causality, _variability(declared))))
     return " ".join(f"{declared.name}: {kind}, {about}".split())
@@ -309,42 +331,58 @@ def overview(described: Described) -> list[str]:
 
 
 def _listed(title: str, rows: Sequence[str]) -> list[str]:
-    more = [f"  and {len(rows) - _MAX_LISTED} more"] if len(rows) > _MAX_LISTED else []
-    return [f"{title}: {'' if rows else 'none'}".rstrip(), *(f"  {row}" for row in rows[:_MAX_LISTED]), *more]
+    note = [f"  and {len(rows) - _LIMITS.listed} more"] if len(rows) > _LIMITS.listed else []
+    return [
+        f"{title}: {'' if rows else 'none'}".rstrip(),
+        *(f"  {row}" for row in rows[: _LIMITS.listed]),
+        *note,
+    ]
 
 
 def draft(file: Path, described: Described, plant: type[Plant]) -> str:
     """A draft of its map for a plant, as YAML, with question marks for missing entries."""
-    output = described.of("output")
-    drive = described.of("input")
-    own = [v for v in described.variables if v.state >= 0] or _others(described)
-    drives = _Names(drive)
-    links = {plant.output.name: _Names(output).like(plant.output), plant.drive.name: drives.like(plant.drive)}
-    if len(output) == 1:
-        links[plant.output.name] = output[0]
-    if len(drive) == 1 + len(plant.disturbances) == 1:
-        links[plant.drive.name] = drive[0]
-    links |= {name: drives.like(of) for name, of in plant.disturbances.items()}
-    named_states = _Names(own)
-    states = {name: named_states.like(of) for name, of in plant.states.items()}
-    named_parameters = _Names(described.of("parameter"))
-    parameters = {name: named_parameters.like(of) for name, of in plant.parameters.items()}
-    taken = {name for name, variable in (states | parameters).items() if variable is not None}
+    states_of_fmu = [v for v in described.variables if v.state >= 0] or _others(described)
+    signals = _linked_signals(described, plant)
+    states = _like_named(plant.states, _Names(states_of_fmu))
+    parameters = _like_named(plant.parameters, _Names(described.of("parameter")))
+    links = signals | states | parameters
+    linked = {name for name, variable in (states | parameters).items() if variable is not None}
     entry: dict[str, Any] = {
         "fmu": file.name,
         "variables": {
             name: _link_of(variable, plant.declarations[name].unit)
-            for name, variable in (links | states | parameters).items()
+            for name, variable in links.items()
             if variable is not None or name in {plant.output.name, plant.drive.name}
         },
-        "starts": {name: _start(plant, name) for name in states if name in taken},
-        "free": [n for n in next(iter(plant.structures.values())).free if n in taken],
+        "starts": {name: _start(plant, name) for name in states if name in linked},
+        "free": [n for n in next(iter(plant.structures.values())).free if n in linked],
     }
     tree = {"plant": plant.name, "structures": {described.name or file.stem: entry}}
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
-    named = {variable.name for variable in (links | states | parameters).values() if variable is not None}
-    left = [v for v in (*described.of("parameter"), *own) if v.name not in named]
-    return text + "".join(_more(v) for v in left)
+    named = {variable.name for variable in links.values() if variable is not None}
+    unlinked = [v for v in (*described.of("parameter"), *states_of_fmu) if v.name not in named]
+    return text + "".join(_more(v) for v in unlinked)
+
+
+def _linked_signals(described: Described, plant: type[Plant]) -> dict[str, Variable | None]:
+    """The FMU's variables for output, drive and disturbances: those with their names, or the only ones."""
+    outputs = described.of("output")
+    inputs = described.of("input")
+    names_of_inputs = _Names(inputs)
+    links = {
+        plant.output.name: _Names(outputs).like(plant.output),
+        plant.drive.name: names_of_inputs.like(plant.drive),
+    }
+    if len(outputs) == 1:
+        links[plant.output.name] = outputs[0]
+    if len(inputs) == 1 and not plant.disturbances:
+        links[plant.drive.name] = inputs[0]
+    return links | _like_named(plant.disturbances, names_of_inputs)
+
+
+def _like_named(quantities: Mapping[str, Any], names: _Names) -> dict[str, Variable | None]:
+    """For each quantity of the plant the variable with its name or symbol."""
+    return {name: names.like(quantity) for name, quantity in quantities.items()}
 
 
 def _verdict(described: Described) -> str:
@@ -363,9 +401,9 @@ def _verdict(described: Described) -> str:
 def remembering(described: Described) -> str:
     """What it remembers from event to event, which no state shows, in words."""
     names = ", ".join(described.discrete[:3])
-    more = " and others" if len(described.discrete) > 3 else ""
+    ending = " and others" if len(described.discrete) > 3 else ""
     return (
-        f"its discrete variables ({names}{more}) may remember earlier events, and cannot be set to what an "
+        f"its discrete variables ({names}{ending}) may remember earlier events, and cannot be set to what an "
         "observer estimates; export it without them"
     )
 
@@ -424,9 +462,9 @@ def _more(variable: Variable) -> str:
     """A comment line for a variable that the plant does not have."""
     value = 1.0 if variable.start is None else variable.start
     kind = "parameters" if variable.causality == "parameter" else "states"
-    what = (
+    declaration = (
         f"default: {value:g}, bounds: [?, ?], unit: {variable.unit!r}"
         if kind == "parameters"
         else f"span: [?, ?], unit: {variable.unit!r}"
     )
-    return f"# not in the plant; can be declared under {kind}: {variable.name}: {{{what}}}\n"
+    return f"# not in the plant; can be declared under {kind}: {variable.name}: {{{declaration}}}\n"

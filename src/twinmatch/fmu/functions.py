@@ -5,7 +5,7 @@ parameters, so every derivative is a central difference. Where a match needs onl
 run, whole runs are compared: those of samples would add up the error of an FMU's solver.
 """
 
-# ruff: noqa: ARG001, PLR0912, PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: ARG001, PLR0917 (kernels are long and take arrays in a row)
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _CALLED: Final = ir.FunctionType(ir.VoidType(), [_LLVM[kind] for kind in _KINDS]
 
 
 @compiled(inside=True)
-def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, out: FloatArray) -> None:
+def _value(machine: Machine, quantity: int, z: FloatArray, d: FloatArray, h: float, out: FloatArray) -> None:
     """The output, the rates, or the states after a step of h; z holds parameters, states and drive.
 
     The rates of a co-simulation FMU are differences over one sample, which have the same equilibria.
@@ -70,105 +70,167 @@ def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, 
     if machine.head[0].status != 0:
         return
     bring(machine, z, d)
-    if what == OUTPUTS:
+    if quantity == OUTPUTS:
         out[0] = output(machine)
-    elif what == SLOPES and machine.head[0].exchange:
+    elif quantity == SLOPES and machine.head[0].exchange:
         rates(machine, out)
     else:
-        period = h if what == STEP else machine.head[0].sample
+        period = h if quantity == STEP else machine.head[0].sample
         advance(machine, period)
         for i in range(out.size):
             end = machine.held[machine.head[0].n_parameters + i]
             begun = z[machine.head[0].n_parameters + i]
-            out[i] = end if what == STEP else (end - begun) / period
+            out[i] = end if quantity == STEP else (end - begun) / period
 
 
 @compiled
-def ends_of(machine: Machine, by: int, value: float) -> tuple[float, float]:
+def ends_of(machine: Machine, place: int, value: float) -> tuple[float, float]:
     """The ends of a difference by a parameter, state or the drive; the value instead of an impossible one."""
-    size = WIDTH * machine.sizes[by]
-    if by < machine.head[0].n_parameters:
+    size = WIDTH * machine.sizes[place]
+    if place < machine.head[0].n_parameters:
         size = max(WIDTH * abs(value), NEAR_ZERO * size)
     high = value + size
     low = value - size
-    return high if high <= machine.highest[by] else value, low if low >= machine.lowest[by] else value
+    return high if high <= machine.highest[place] else value, low if low >= machine.lowest[place] else value
 
 
 @compiled(inside=True)
 def _slope(
-    machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, by: int,
+    machine: Machine,
+    quantity: int,
+    z: FloatArray,
+    d: FloatArray,
+    h: float,
+    place: int,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """The derivative by one of the parameters, then the states, then the drive."""
     values = np.empty((2, out.size))
     moved = z.copy()
-    ends = ends_of(machine, by, z[by])
+    ends = ends_of(machine, place, z[place])
     for side in range(2):
-        moved[by] = ends[side]
-        _value(machine, what, moved, d, h, values[side])
+        moved[place] = ends[side]
+        _value(machine, quantity, moved, d, h, values[side])
     for i in range(out.size):
         out[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
 
 
+@compiled(inside=True)
+def _output_slopes(machine: Machine, z: FloatArray, d: FloatArray, out: Any) -> None:
+    """Derivatives of the output by the states and the unknowns; 0 by an unknown that it does not show."""
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
+    slope = np.empty(1)
+    for i in range(n + machine.head[0].n_unknown):
+        out[i] = 0.0
+        if i < n or machine.shown[i - n]:
+            place = m + i if i < n else machine.unknown[i - n]
+            _slope(machine, OUTPUTS, z, d, 0.0, place, slope)
+            out[i] = slope[0]
+
+
+@compiled(inside=True)
+def _rate_slopes(machine: Machine, z: FloatArray, d: FloatArray, out: Any) -> None:
+    """Derivatives of the rates by the unknowns (n × q), and, after n rates, by the states (n × n) and the
+    drive (n)."""
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
+    q = machine.head[0].n_unknown
+    slopes = np.empty(n)
+    for j in range(q + n + 1):
+        place = machine.unknown[j] if j < q else m + j - q
+        _slope(machine, SLOPES, z, d, 0.0, place, slopes)
+        for i in range(n):
+            if j < q:
+                out[i * q + j] = slopes[i]
+            elif j < q + n:
+                out[n * (q + 1) + i * n + j - q] = slopes[i]
+            else:
+                out[n * (q + 1) + n * n + i] = slopes[i]
+
+
+@compiled(inside=True)
+def _move_tangents(
+    machine: Machine,
+    z: FloatArray,
+    d: FloatArray,
+    h: float,
+    columns: Any,
+    du: Any,
+    chosen: Any,
+    first: int,
+    size: int,
+) -> None:
+    """Move tangents, columns of shape (n, size), on by a step: those by the `first` chosen unknowns, then by
+    initial states, whose drive differs by du."""
+    m = machine.head[0].n_parameters
+    n = machine.head[0].n_states
+    slopes = np.empty((first + n + 1, n))
+    before = np.empty(n)
+    for j in range(first + n + 1):
+        place = machine.unknown[chosen[j]] if j < first else m + j - first
+        _slope(machine, STEP, z, d, h, place, slopes[j])
+    for j in range(size):
+        for i in range(n):
+            before[i] = columns[i * size + j]
+        for i in range(n):
+            total = slopes[first + n, i] * du[j] + (slopes[j, i] if j < first else 0.0)
+            for k in range(n):
+                total += slopes[first + k, i] * before[k]
+            columns[i * size + j] = total
+
+
 @compiled(addressed=True)
 def _function(
-    integers: Any, floats: Any, what: int, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: float,
-    columns: Any, du: Any, which: Any, first: int, size: int,
-) -> None:  # fmt: skip
+    integers: Any,
+    floats: Any,
+    quantity: int,
+    x: Any,
+    u: Any,
+    d: Any,
+    p: Any,
+    b: Any,
+    out: Any,
+    h: float,
+    columns: Any,
+    du: Any,
+    chosen: Any,
+    first: int,
+    size: int,
+) -> None:
     """One of the functions, an index of `FUNCTIONS`; b and those after `out` are not used by all of them."""
     machine = machine_at(integers, floats)
     most = 0
     head = machine.head[0]
     m = head.n_parameters
     n = head.n_states
-    q = head.n_unknown
     for i in range(head.n_inputs - 1):
         most = max(most, machine.given[i] + 1)
+    disturbances = numba.carray(d, most)
     z = np.empty(m + n + 1)
-    others = numba.carray(d, most)
+    for i in range(m):
+        z[i] = p[i]
+    for i in range(n):
+        z[m + i] = x[i]
+    z[m + n] = np.nan if quantity in _OF_OUTPUT else u[0]
+    if quantity == OUTPUT_SLOPES:
+        _output_slopes(machine, z, disturbances, out)
+        return
+    if quantity == SLOPES:
+        _rate_slopes(machine, z, disturbances, out)
+    elif quantity == TANGENTS:
+        _move_tangents(machine, z, disturbances, h, columns, du, chosen, first, size)
+    value = STEP if quantity == TANGENTS else quantity
+    skipped = n * head.n_unknown if quantity == SLOPES else 0
     column = np.zeros(max(n, 1))
-    for i in range(m + n + 1):
-        z[i] = p[i] if i < m else x[i - m] if i < m + n else np.nan if what in _OF_OUTPUT else u[0]
-    if what == OUTPUT_SLOPES:
-        for i in range(n + q):
-            out[i] = 0.0
-            if i < n or machine.shown[i - n]:
-                by = m + i if i < n else machine.unknown[i - n]
-                _slope(machine, OUTPUTS, z, others, 0.0, by, column[:1])
-                out[i] = column[0]
-    elif what == SLOPES:
-        # By the unknowns (n × q), then the rates, their derivatives by the states (n × n) and the drive (n).
-        for j in range(q + n + 1):
-            _slope(machine, SLOPES, z, others, 0.0, machine.unknown[j] if j < q else m + j - q, column[:n])
-            for i in range(n):
-                of_x = i * n + j - q if j < q + n else n * n + i
-                out[i * q + j if j < q else n * (q + 1) + of_x] = column[i]
-    elif what == TANGENTS:
-        by = np.empty((first + n + 1, n))
-        before = np.empty(n)
-        for j in range(first + n + 1):
-            place = machine.unknown[which[j]] if j < first else m + j - first
-            _slope(machine, STEP, z, others, h, place, by[j])
-        for j in range(size):
-            for i in range(n):
-                before[i] = columns[i * size + j]
-            for i in range(n):
-                total = by[first + n, i] * du[j] + (by[j, i] if j < first else 0.0)
-                for k in range(n):
-                    total += by[first + k, i] * before[k]
-                columns[i * size + j] = total
-    if what != OUTPUT_SLOPES:
-        value = STEP if what == TANGENTS else what
-        skipped = n * q if what == SLOPES else 0
-        column[:] = 0.0
-        _value(machine, value, z, others, h, column[: 1 if what == OUTPUTS else n])
-        for i in range(column.size):
-            out[skipped + i] = column[i]
-        if value == STEP:
-            out[n] = 0.0  # kinks within the step have been found
+    _value(machine, value, z, disturbances, h, column[: 1 if quantity == OUTPUTS else n])
+    for i in range(column.size):
+        out[skipped + i] = column[i]
+    if value == STEP:
+        out[n] = 0.0  # kinks within the step have been found
 
 
-def functions_for(at: int, numbers: int, start: int) -> tuple[Any, dict[str, int]]:
+def functions_for(integers: int, numbers: int, start: int) -> tuple[Any, dict[str, int]]:
     """The functions of the FMU whose machine is at these addresses: their owner, and their addresses.
 
     `start` is the address of the function for initial states.
@@ -179,17 +241,17 @@ def functions_for(at: int, numbers: int, start: int) -> tuple[Any, dict[str, int
     address = result.library.codegen._engine.get_function_address(result.fndesc.llvm_cfunc_wrapper_name)
     kinds = [_LLVM[kind] for kind in _KINDS]
     module = ir.Module("fmu")
-    for what, name in enumerate(FUNCTIONS):
-        count = {STEP: 7, TANGENTS: 12}.get(what, 6)
+    for number, name in enumerate(FUNCTIONS):
+        count = {STEP: 7, TANGENTS: 12}.get(number, 6)
         llvm = ir.Function(module, ir.FunctionType(ir.VoidType(), kinds[3 : 3 + count]), name)
         builder = ir.IRBuilder(llvm.append_basic_block())
-        if what in {STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES}:
+        if number in {STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES}:
             pointers = [
                 builder.inttoptr(ir.Constant(kinds[2], value), kind)
-                for value, kind in zip((address, at, numbers), (_CALLED, *kinds), strict=False)
+                for value, kind in zip((address, integers, numbers), (_CALLED, *kinds), strict=False)
             ]
             unused = [ir.Constant(kind, None if kind.is_pointer else 0) for kind in kinds[3 + count :]]
-            builder.call(pointers[0], [*pointers[1:], ir.Constant(kinds[2], what), *llvm.args, *unused])
+            builder.call(pointers[0], [*pointers[1:], ir.Constant(kinds[2], number), *llvm.args, *unused])
         builder.ret_void()
     target = binding.Target.from_default_triple().create_target_machine(reloc="pic", jit=True)
     owner, addresses = linked(target.emit_object(binding.parse_assembly(str(module))))
@@ -199,10 +261,14 @@ def functions_for(at: int, numbers: int, start: int) -> tuple[Any, dict[str, int
 def code_for(addresses: Mapping[str, int], parameters: int, states: int, unknown: int) -> Code:
     """The FMU as a plant for the kernels."""
     sizes = {
-        "n_states": states, "n_inputs": 1, "n_outputs": 1, "n_parameters": parameters, "n_unknown": unknown
-    }  # fmt: skip
-    known = {**addresses, **dict.fromkeys(NUMBERS, 0), **sizes}
-    return np.array([known[name] for name in (*FUNCTIONS, *NUMBERS)], dtype=np.int64)
+        "n_states": states,
+        "n_inputs": 1,
+        "n_outputs": 1,
+        "n_parameters": parameters,
+        "n_unknown": unknown,
+    }
+    number_of = {**addresses, **dict.fromkeys(NUMBERS, 0), **sizes}
+    return np.array([number_of[name] for name in (*FUNCTIONS, *NUMBERS)], dtype=np.int64)
 
 
 @compiled
@@ -231,8 +297,8 @@ def normal_at(
         moved = values.copy()
         j = (i - 1) // 2
         if i > 0:
-            by = problem.places[j] if j < free else m + problem.started[j - free]
-            ends[j, 0], ends[j, 1] = ends_of(machine, by, values[j])
+            place = problem.places[j] if j < free else m + problem.started[j - free]
+            ends[j, 0], ends[j, 1] = ends_of(machine, place, values[j])
             moved[j] = ends[j, (i - 1) % 2]
         vector = problem.base.copy()
         vector[problem.places] = moved[:free]
@@ -240,16 +306,32 @@ def normal_at(
         x[problem.started] = moved[free:]
         if i == 0:
             steps = step_count(
-                code, vector, problem.corners, problem.drives, problem.default_disturbances, data.period,
+                code,
+                vector,
+                problem.corners,
+                problem.drives,
+                problem.default_disturbances,
+                data.period,
                 problem.rate_limit,
-            )  # fmt: skip
+            )
             if steps > MAX_STEPS:
                 return nowhere
         y, u, _ = run(
-            code, vector, x, problem.law, data.memory, data.references, data.disturbances, still,
-            never, 0.0, data.period, steps,
-        )  # fmt: skip
-        simulated[i, 0], simulated[i, 1] = y[:, 0], u[:, 0]
+            code,
+            vector,
+            x,
+            problem.law,
+            data.memory,
+            data.references,
+            data.disturbances,
+            still,
+            never,
+            0.0,
+            data.period,
+            steps,
+        )
+        simulated[i, 0] = y[:, 0]
+        simulated[i, 1] = u[:, 0]
         if i == 0 or i == 2 * n:
             normal[:] = 0.0
             for k in range(size):
@@ -267,9 +349,9 @@ def normal_at(
     gradient = normal[n, :n].copy()
     hessian = np.zeros((n, n))
     for j in range(n):
-        off = values[j] - problem.expected[j]
-        cost += problem.pull[j] * off * off
-        gradient[j] += problem.pull[j] * off
+        deviation = values[j] - problem.expected[j]
+        cost += problem.pull[j] * deviation * deviation
+        gradient[j] += problem.pull[j] * deviation
         for i in range(j + 1):
             hessian[i, j] = hessian[j, i] = normal[j, i]
         hessian[j, j] += problem.pull[j]

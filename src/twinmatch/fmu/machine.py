@@ -118,16 +118,24 @@ def machine_of(integers: Integers, floats: FloatArray) -> Machine:
     m = head[0].n_parameters
     n = head[0].n_states
     inputs = head[0].n_inputs
-    given = _BEGIN + n
-    unknown = given + inputs
-    shown = unknown + m
+    first_given = _BEGIN + n
+    first_unknown = first_given + inputs
+    first_shown = first_unknown + m
     whole = m + n + inputs + 1
     return Machine(
-        integers[: len(FUNCTIONS)], head, integers[_BEGIN:given], integers[given:unknown],
-        integers[unknown:shown], integers[shown : shown + m], floats[:whole], floats[whole : 2 * whole],
-        floats[2 * whole : 3 * whole], floats[3 * whole : 4 * whole], floats[4 * whole : 5 * whole],
+        integers[: len(FUNCTIONS)],
+        head,
+        integers[_BEGIN:first_given],
+        integers[first_given:first_unknown],
+        integers[first_unknown:first_shown],
+        integers[first_shown : first_shown + m],
+        floats[:whole],
+        floats[whole : 2 * whole],
+        floats[2 * whole : 3 * whole],
+        floats[3 * whole : 4 * whole],
+        floats[4 * whole : 5 * whole],
         floats[5 * whole : 6 * whole],
-    )  # fmt: skip
+    )
 
 
 @compiled(inside=True)
@@ -143,27 +151,28 @@ def machine_at(integers: Any, floats: Any) -> Machine:
 
 
 @intrinsic
-def _fmi(context: Any, address: Any, instance: Any, given: Any) -> Any:  # noqa: ARG001 (numba's interface)
+def _fmi(context: Any, address: Any, instance: Any, arguments: Any) -> Any:  # noqa: ARG001 (numba's interface)
     """Call a function of the FMU by its address; returns its status."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
-        passed = [values[1], *cgutils.unpack_tuple(builder, values[2])]
-        kinds = ir.FunctionType(ir.IntType(32), [value.type for value in passed])
-        return builder.call(builder.inttoptr(values[0], kinds.as_pointer()), passed)
+        passed_values = [values[1], *cgutils.unpack_tuple(builder, values[2])]
+        kinds = ir.FunctionType(ir.IntType(32), [value.type for value in passed_values])
+        return builder.call(builder.inttoptr(values[0], kinds.as_pointer()), passed_values)
 
-    return types.int32(address, instance, given), code
+    return types.int32(address, instance, arguments), code
 
 
 @compiled(inside=True)
 def _note(machine: Machine, where: int, status: int) -> None:
     if status > _WARNING and machine.head[0].status == 0:
-        machine.head[0].status, machine.head[0].where = status, where
+        machine.head[0].status = status
+        machine.head[0].where = where
 
 
 @compiled(inside=True)
-def _call(machine: Machine, function: int, given: Any) -> None:
+def _call(machine: Machine, function: int, arguments: Any) -> None:
     """Call a function with arguments, a tuple, after the instance."""
-    _note(machine, function, _fmi(machine.functions[function], machine.head[0].instance, given))
+    _note(machine, function, _fmi(machine.functions[function], machine.head[0].instance, arguments))
 
 
 @compiled(inside=True)
@@ -184,10 +193,10 @@ def _transfer(machine: Machine, function: int, references: int, values: FloatArr
 @compiled(inside=True)
 def _set(machine: Machine, references: int, first: int, count: int) -> None:
     """Set some variables to their values in `held`."""
-    own = np.empty(count)
+    values = np.empty(count)
     for i in range(count):
-        own[i] = (machine.held[first + i] - machine.offsets[first + i]) / machine.factors[first + i]
-    _transfer(machine, SET, references, own)
+        values[i] = (machine.held[first + i] - machine.offsets[first + i]) / machine.factors[first + i]
+    _transfer(machine, SET, references, values)
 
 
 @compiled(inside=True)
@@ -216,35 +225,37 @@ def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
     initialisation: what the FMU remembers beside its states would be that of the run before.
     """
     head = machine.head[0]
-    held = machine.held
+    current = machine.held
     m = head.n_parameters
     n = head.n_states
-    there = head.begun != 0
+    continues = head.begun != 0
     for i in range(m + n):
-        there = there and held[i] == z[i]
-        held[i] = z[i]
-    if not there:
+        continues = continues and current[i] == z[i]
+        current[i] = z[i]
+    if not continues:
         head.run_time = 0.0
-    changed = not there
+    changed = not continues
     for i in range(m + n, m + n + head.n_inputs):
         value = z[m + n] if i == m + n else d[machine.given[i - m - n - 1]]
         if np.isnan(value):
-            value = held[i] if there else head.rest
-        changed = changed or held[i] != value
-        held[i] = value
-    if not there:
+            value = current[i] if continues else head.rest
+        changed = changed or current[i] != value
+        current[i] = value
+    if not continues:
         _initialise(machine)
     elif changed and not head.exchange:
         _set(machine, head.inputs, m + n, head.n_inputs)
     if changed and head.exchange:
-        if not there:
+        if not continues:
             _call(machine, SET_TIME, (0.0,))
         _set(machine, head.inputs, m + n, head.n_inputs)
-        if not there and n > 0:
-            own = np.empty(n)
+        if not continues and n > 0:
+            states_of_fmu = np.empty(n)
             for i in range(n):
-                own[machine.places[i]] = (z[m + i] - machine.offsets[m + i]) / machine.factors[m + i]
-            _pass(machine, SET_STATES, own)
+                states_of_fmu[machine.places[i]] = (z[m + i] - machine.offsets[m + i]) / machine.factors[
+                    m + i
+                ]
+            _pass(machine, SET_STATES, states_of_fmu)
         if head.n_indicators > 0:
             _call(machine, EVENT_MODE, ())
             _settle(machine)
@@ -263,14 +274,14 @@ def advance(machine: Machine, h: float) -> None:
     """Advance it by a step, whose end is held."""
     m = machine.head[0].n_parameters
     n = machine.head[0].n_states
-    own = np.empty(n)
+    states_of_fmu = np.empty(n)
     if machine.head[0].exchange:
-        _integrate(machine, own, h)
+        _integrate(machine, states_of_fmu, h)
     else:
         _step(machine, h)
-        _transfer(machine, GET, machine.head[0].states, own)
+        _transfer(machine, GET, machine.head[0].states, states_of_fmu)
     for i in range(n):
-        value = own[machine.places[i]]
+        value = states_of_fmu[machine.places[i]]
         machine.held[m + i] = machine.factors[m + i] * value + machine.offsets[m + i]
 
 
@@ -280,11 +291,11 @@ def rates(machine: Machine, values: FloatArray) -> None:
     m = machine.head[0].n_parameters
     n = machine.head[0].n_states
     x = np.empty(n)
-    own = np.empty(n)
+    rates_of_fmu = np.empty(n)
     _pass(machine, GET_STATES, x)
-    _rates(machine, x, machine.head[0].run_time, own)
+    _rates(machine, x, machine.head[0].run_time, rates_of_fmu)
     for i in range(n):
-        values[i] = own[machine.places[i]] * machine.factors[m + i]
+        values[i] = rates_of_fmu[machine.places[i]] * machine.factors[m + i]
 
 
 @compiled(inside=True)
@@ -308,26 +319,26 @@ def _integrate(machine: Machine, x: FloatArray, h: float) -> None:
     """
     after = np.empty(x.size)
     signs = np.empty(machine.head[0].n_indicators)
-    left = h
+    remaining = h
     _pass(machine, GET_STATES, x)
     for event in range(MAX_EVENTS):
-        taken = left
+        length = remaining
         step = (machine, x, machine.head[0].run_time, after, signs)
         _indicators(machine, x, machine.head[0].run_time, signs)
-        if _crosses(step, left) and event < MAX_EVENTS - 1:
+        if _crosses(step, remaining) and event < MAX_EVENTS - 1:
             low = 0.0
             for _ in range(BISECTIONS):
-                middle = 0.5 * (low + taken)
+                middle = 0.5 * (low + length)
                 if _crosses(step, middle):
-                    taken = middle
+                    length = middle
                 else:
                     low = middle
-            _crosses(step, taken)
-        machine.head[0].run_time += taken
+            _crosses(step, length)
+        machine.head[0].run_time += length
         copy_into(after, x)
         _complete(machine, x)
-        left -= taken
-        if not left > 0.0 or machine.head[0].status != 0:
+        remaining -= length
+        if not remaining > 0.0 or machine.head[0].status != 0:
             break
 
 
@@ -346,13 +357,13 @@ def _rates(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> 
 @compiled(inside=True)
 def _runge_kutta(machine: Machine, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
     k = np.empty((4, x.size))
-    there = x.copy()
+    point = x.copy()
     for stage in range(4):
         reach = h if stage == 3 else 0.5 * h
         if stage > 0:
             for i in range(x.size):
-                there[i] = x[i] + reach * k[stage - 1, i]
-        _rates(machine, there, t + reach if stage > 0 else t, k[stage])
+                point[i] = x[i] + reach * k[stage - 1, i]
+        _rates(machine, point, t + reach if stage > 0 else t, k[stage])
     for i in range(x.size):
         after[i] = x[i] + h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 

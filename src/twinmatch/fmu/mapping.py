@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -180,26 +180,31 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
         plant = find_plant(content.plant)
     except PlantError as error:
         raise FmuError(f"{file}: {error}") from error
-    return tuple(_map(file, plant, name, what) for name, what in content.structures.items())
+    return tuple(_map(file, plant, name, entry) for name, entry in content.structures.items())
 
 
 def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     place = f"{file}, structure {name!r}"
-    own = decoded(tree, Entry, place, FmuError)
-    parameters = _declared(place, Parameter, _WrittenParameter, own.parameters, plant)
-    states = _declared(place, State, _WrittenState, own.states, plant)
-    links = {key: _link(f"{place}, variable {key}", value) for key, value in own.variables.items()}
-    known = (
-        plant.output.name, plant.drive.name, *plant.disturbances, *plant.states, *plant.parameters,
-        *parameters, *states,
-    )  # fmt: skip
-    _subset(place, "variables", links, known)
+    entry = decoded(tree, Entry, place, FmuError)
+    parameters = _declared(place, Parameter, _WrittenParameter, entry.parameters, plant)
+    states = _declared(place, State, _WrittenState, entry.states, plant)
+    links = {key: _link(f"{place}, variable {key}", value) for key, value in entry.variables.items()}
+    linkable = (
+        plant.output.name,
+        plant.drive.name,
+        *plant.disturbances,
+        *plant.states,
+        *plant.parameters,
+        *parameters,
+        *states,
+    )
+    _subset(place, "variables", links, linkable)
     for needed in (plant.output.name, plant.drive.name, *parameters, *states):
         if needed not in links:
             raise FmuError(f"{place}: variables has no entry for {needed}; give the FMU's variable for it")
-    if own.kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
-        raise FmuError(f"{place}: kind is {own.kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
-    searches = own.searches
+    if entry.kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
+        raise FmuError(f"{place}: kind is {entry.kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+    searches = entry.searches
     if searches is None:
         usual = next(iter(plant.structures.values())).starts
         searches = tuple(dict(start) for start in usual if set(start) <= set(links))
@@ -207,10 +212,10 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
         place=place,
         plant=plant,
         name=name,
-        file=file.parent / own.fmu,
-        own=own,
+        file=file.parent / entry.fmu,
+        own=entry,
         links=links,
-        starts={key: Formula(f"{place}, start of {key}", str(value)) for key, value in own.starts.items()},
+        starts={key: Formula(f"{place}, start of {key}", str(value)) for key, value in entry.starts.items()},
         searches=searches,
         parameters=parameters,
         states=states,
@@ -219,30 +224,30 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     return fmu
 
 
-def _check(of: FmuMap) -> None:
-    states = of.known_states
-    parameters = of.known_parameters
-    _subset(of.place, "free", of.own.free, parameters)
-    _subset(of.place, "fixed", of.own.fixed, parameters)
-    for search in of.searches:
-        _subset(of.place, "searches", search, parameters)
-    _subset(of.place, "free_starts", of.own.free_starts, states)
-    _subset(of.place, "starts", of.starts, states)
-    if not of.own.patience > 0:
-        raise FmuError(f"{of.place}: patience is {of.own.patience:g} s; give a positive number")
-    missing = [name for name in states if name not in of.starts]
+def _check(fmu: FmuMap) -> None:
+    states = fmu.known_states
+    parameters = fmu.known_parameters
+    _subset(fmu.place, "free", fmu.own.free, parameters)
+    _subset(fmu.place, "fixed", fmu.own.fixed, parameters)
+    for search in fmu.searches:
+        _subset(fmu.place, "searches", search, parameters)
+    _subset(fmu.place, "free_starts", fmu.own.free_starts, states)
+    _subset(fmu.place, "starts", fmu.starts, states)
+    if not fmu.own.patience > 0:
+        raise FmuError(f"{fmu.place}: patience is {fmu.own.patience:g} s; give a positive number")
+    missing = [name for name in states if name not in fmu.starts]
     if missing:
-        msg = f"{of.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
+        msg = f"{fmu.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
         raise FmuError(msg)
-    for name, formula in of.starts.items():
-        known = (of.plant.output.name, of.plant.drive.name, *of.plant.disturbances, *parameters)
-        _subset(f"{of.place}, start of {name}", repr(formula.text), formula.names, known)
+    for name, formula in fmu.starts.items():
+        allowed = (fmu.plant.output.name, fmu.plant.drive.name, *fmu.plant.disturbances, *parameters)
+        _subset(f"{fmu.place}, start of {name}", repr(formula.text), formula.names, allowed)
 
 
-def _subset(place: str, what: str, names: Any, known: Any) -> None:
-    unknown = [name for name in names if name not in known]
+def _subset(place: str, section: str, names: Any, allowed: Any) -> None:
+    unknown = [name for name in names if name not in allowed]
     if unknown:
-        raise FmuError(f"{place}: {what} names {unknown[0]!r}; there are {', '.join(known) or 'none'}")
+        raise FmuError(f"{place}: {section} names {unknown[0]!r}; there are {', '.join(allowed) or 'none'}")
 
 
 def _link(place: str, tree: Any) -> Link:
@@ -259,16 +264,16 @@ def _declared(
 ) -> dict[str, Any]:
     declarations = {}
     for name, value in (tree or {}).items():
-        here = f"{place}, {kind.__name__.lower()} {name}"
+        place_of_entry = f"{place}, {kind.__name__.lower()} {name}"
         if name in plant.declarations:
             raise FmuError(f"{place}: {name} is declared by the plant; list it only under variables")
         try:
-            declared = kind(**given_keys(decoded(value, written, here, FmuError)))
+            declared = kind(**given_keys(decoded(value, written, place_of_entry, FmuError)))
             declared.__set_name__(plant, name)
         except FmuError:
             raise
         except (PlantError, TypeError, ValueError) as error:
-            raise FmuError(f"{here}: {error}") from error
+            raise FmuError(f"{place_of_entry}: {error}") from error
         declarations[name] = declared
     return declarations
 
@@ -278,82 +283,91 @@ def sample_time(plant: type[Plant]) -> float:
     return 1.0 if plant.loop is None else float(plant.loop.period)
 
 
-def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
+def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     """The request that loads the FMU, without the paths of its files; and its interface type.
 
     Raises:
         FmuError: the FMU does not match the map.
     """
-    kind = of.own.kind or next(iter(described.kinds), "")
+    kind = fmu.own.kind or next(iter(described.kinds), "")
     if kind not in described.kinds:
         ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
         raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
     if described.discrete:
         raise FmuError(remembering(described))
-    plant = of.plant
-    links = of.links
+    plant = fmu.plant
+    links = fmu.links
     inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
-    states = [links[name] for name in of.known_states]
-    parameters = [links[name] for name in of.known_parameters]
-    output = [links[plant.output.name]]
-    for link in (*output, *inputs, *states, *parameters):
+    states = [links[name] for name in fmu.known_states]
+    parameters = [links[name] for name in fmu.known_parameters]
+    output = links[plant.output.name]
+    for link in (output, *inputs, *states, *parameters):
         for name in (link.variable, link.set):
             if described.called(name) is None:
                 raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
     _check_inputs(described, inputs)
-    own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
+    states_of_fmu = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
     if kind == MODEL_EXCHANGE:
-        _check_states(described, own, [link.variable for link in states])
-    _check_settable(described, [*parameters, *(states if kind == CO_SIMULATION else [])])
-    names = {
-        "fixed": [link.set for link in (*parameters, *states)],
-        "inputs": [link.variable for link in inputs],
-        "states": [link.variable for link in states],
-        "output": [link.variable for link in output],
-    }
-    links_ = (*parameters, *states, *inputs, *output)
-    declared = {**plant.parameters, **of.parameters}
-    spans = [*({**plant.states, **of.states}[name].span for name in of.known_states), plant.drive.limits]
-    unlimited = [-math.inf for _ in spans]
-    own_parameters = [declared[name] for name in of.known_parameters]
+        _check_states(described, states_of_fmu, [link.variable for link in states])
+        _check_settable(described, parameters)
+        places = [states_of_fmu.index(link.variable) for link in states]
+    else:
+        _check_settable(described, [*parameters, *states])
+        places = list(range(len(states)))
     return {
         "ask": "load",
         "described": described.tree,
         "kind": kind,
-        "references": {name: _references(described, those) for name, those in names.items()},
-        "places": [own.index(s.variable) if kind == MODEL_EXCHANGE else k for k, s in enumerate(states)],
+        "references": {
+            "fixed": _references(described, [link.set for link in (*parameters, *states)]),
+            "inputs": _references(described, [link.variable for link in inputs]),
+            "states": _references(described, [link.variable for link in states]),
+            "output": _references(described, [output.variable]),
+        },
+        "places": places,
         "given": [k for k, name in enumerate(plant.disturbances) if name in links],
         "signals": [plant.output.name, plant.drive.name, *plant.disturbances],
-        "parameters": of.known_parameters,
-        "starts": [of.starts[name].text for name in of.known_states],
+        "parameters": fmu.known_parameters,
+        "starts": [fmu.starts[name].text for name in fmu.known_states],
         "rest": plant.drive.rest,
         "sample": sample_time(plant),
-        "numbers": [  # as a machine keeps them
-            [link.factor for link in links_],
-            [link.offset for link in links_],
-            [math.nan for _ in links_],
-            [*(p.scale for p in own_parameters), *(high - low for low, high in spans)],
-            [*(max(p.least, _TINY if p.positive else p.least) for p in own_parameters), *unlimited],
-            [*(p.most for p in own_parameters), *(-least for least in unlimited)],
-        ],
+        "numbers": _numbers(fmu, [*parameters, *states, *inputs, output]),
     }, kind
+
+
+def _numbers(fmu: FmuMap, links: Sequence[Link]) -> list[list[float]]:
+    """As a machine keeps them: factors, offsets, values, sizes, and least and greatest values."""
+    plant = fmu.plant
+    declared_parameters = {**plant.parameters, **fmu.parameters}
+    declared_states = {**plant.states, **fmu.states}
+    parameters = [declared_parameters[name] for name in fmu.known_parameters]
+    spans = [*(declared_states[name].span for name in fmu.known_states), plant.drive.limits]
+    unlimited = [math.inf for _ in spans]
+    return [
+        [link.factor for link in links],
+        [link.offset for link in links],
+        [math.nan for _ in links],
+        [*(p.scale for p in parameters), *(high - low for low, high in spans)],
+        [*(max(p.least, _TINY if p.positive else p.least) for p in parameters), *(-x for x in unlimited)],
+        [*(p.most for p in parameters), *unlimited],
+    ]
 
 
 def _references(described: Described, names: list[str]) -> list[int]:
     return [variable.reference for name in names if (variable := described.called(name)) is not None]
 
 
-def _check_states(described: Described, own: list[str], named: list[str]) -> None:
+def _check_states(described: Described, states: list[str], named: list[str]) -> None:
     """Check that the map names all states of a model-exchange FMU, and no others."""
-    left = [name for name in own if name not in named]
-    other = [name for name in named if name not in own]
-    if left or other or described.states != len(named):
-        what = "the map does not name all of them"
-        if left:
-            what = f"the map does not name {left[0]!r}"
-        elif other:
-            what = f"the map names {other[0]!r}, which is not one of them"
-        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
+    unnamed = [name for name in states if name not in named]
+    unknown = [name for name in named if name not in states]
+    if unnamed or unknown or described.states != len(named):
+        problem = "the map does not name all of them"
+        if unnamed:
+            problem = f"the map does not name {unnamed[0]!r}"
+        elif unknown:
+            problem = f"the map names {unknown[0]!r}, which is not one of them"
+        raise FmuError(f"its continuous states are {', '.join(states) or 'none'}; {problem}")
 
 
 def _check_inputs(described: Described, links: list[Link]) -> None:
@@ -361,9 +375,9 @@ def _check_inputs(described: Described, links: list[Link]) -> None:
     for link in links:
         variable = described.called(link.set)
         if variable is not None and variable.causality != "input" and variable.variability != "tunable":
-            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
-            inputs = ", ".join(one.name for one in described.of("input")) or "none"
-            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
+            kind = f"{variable.causality}, variability {variable.variability or 'not given'}"
+            inputs = ", ".join(entry.name for entry in described.of("input")) or "none"
+            raise FmuError(f"its variable {link.set!r} is not an input ({kind}); its inputs are {inputs}")
 
 
 def _check_settable(described: Described, links: list[Link]) -> None:

@@ -71,12 +71,12 @@ def tree_of(value: Any, arrays: list[NDArray[Any]]) -> Any:
         return {"array": len(arrays) - 1}
     if isinstance(value, tuple):
         kind = "" if type(value) is tuple else f"{type(value).__module__}:{type(value).__name__}"
-        return [kind, *(tree_of(one, arrays) for one in value)]
+        return [kind, *(tree_of(member, arrays) for member in value)]
     return value.item() if isinstance(value, np.generic) else value
 
 
 def value_of(tree: Any, arrays: Sequence[NDArray[Any]], kind_of: Callable[[str], Any]) -> Any:
-    """The value of such a tree; `found` gives the class of a named tuple.
+    """The value of such a tree; `kind_of` gives the class of a named tuple.
 
     Raises:
         FmuMessageError: the tree cannot be read.
@@ -85,7 +85,7 @@ def value_of(tree: Any, arrays: Sequence[NDArray[Any]], kind_of: Callable[[str],
         if isinstance(tree, dict):
             return arrays[tree["array"]]
         if isinstance(tree, list):
-            values = [value_of(one, arrays, kind_of) for one in tree[1:]]
+            values = [value_of(member, arrays, kind_of) for member in tree[1:]]
             return kind_of(tree[0])._make(values) if tree[0] else tuple(values)
     except (IndexError, KeyError, TypeError) as error:
         raise FmuMessageError(f"values that cannot be read: {error}") from error
@@ -111,7 +111,7 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
         raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:
         header = json.loads(read(size))
-        shapes = [(_SIZES[kind], kind, tuple(int(n) for n in shape)) for kind, shape in header.pop("arrays")]
+        shapes = [(_SIZES[kind], kind, tuple(map(int, shape))) for kind, shape in header.pop("arrays")]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FmuMessageError(f"a header that cannot be read: {error}") from error
     body = read(numbers)
@@ -199,15 +199,15 @@ class FmuProcess:
             if not self._ended.alive:
                 raise ProcessLostError("its process was killed earlier")
             whole = limit + (START if self._first else 0.0)
-            by = time.monotonic() + whole
+            deadline = time.monotonic() + whole
             self._first = False
             try:
-                self._write(packed({**header, "limit": whole}, arrays), by)
-                message = unpacked(lambda size: self._read(size, by))
+                self._write(packed({**header, "limit": whole}, arrays), deadline)
+                message = unpacked(lambda size: self._read(size, deadline))
                 if "loading" in message.header:  # a kernel, before it runs
-                    unpacked(lambda size: self._read(size, by + START))
-                    by = time.monotonic() + limit
-                    message = unpacked(lambda size: self._read(size, by))
+                    unpacked(lambda size: self._read(size, deadline + START))
+                    deadline = time.monotonic() + limit
+                    message = unpacked(lambda size: self._read(size, deadline))
             except TimeoutError:
                 self.close()
                 raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None
@@ -233,18 +233,18 @@ class FmuProcess:
             return f"its process crashed ({signal.Signals(-code).name})"
         return f"its process exited with code {code}"
 
-    def _write(self, data: bytes, by: float) -> None:
+    def _write(self, data: bytes, deadline: float) -> None:
         handle = self._process.stdin.fileno()  # type: ignore[union-attr]
         os.set_blocking(handle, False)
-        left = memoryview(data)
-        while left:
-            _wait(handle, select.POLLOUT, by)
-            left = left[os.write(handle, left[: 1 << 16]) :]
+        unwritten = memoryview(data)
+        while unwritten:
+            _wait(handle, select.POLLOUT, deadline)
+            unwritten = unwritten[os.write(handle, unwritten[: 1 << 16]) :]
 
-    def _read(self, size: int, by: float) -> bytes:
+    def _read(self, size: int, deadline: float) -> bytes:
         handle, data = self._process.stdout.fileno(), bytearray()  # type: ignore[union-attr]
         while len(data) < size:
-            _wait(handle, select.POLLIN, by)
+            _wait(handle, select.POLLIN, deadline)
             part = os.read(handle, min(size - len(data), 1 << 20))
             if not part:
                 raise FmuMessageError("its answer ended early")
@@ -252,19 +252,24 @@ class FmuProcess:
         return bytes(data)
 
 
-def _wait(handle: int, event: int, by: float) -> None:
-    left = by - time.monotonic()
+def _wait(handle: int, event: int, deadline: float) -> None:
+    time_left = deadline - time.monotonic()
     poll = select.poll()  # a node may have more open files than select supports
     poll.register(handle, event)
-    if left <= 0 or not poll.poll(min(1000.0 * left, 1e9)):  # beyond, poll overflows
+    if time_left <= 0 or not poll.poll(min(1000.0 * time_left, 1e9)):  # beyond, poll overflows
         raise TimeoutError
 
 
 def _environment() -> dict[str, str]:
-    kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
+    environment = {name: os.environ[name] for name in _KEPT if name in os.environ}
     # The other process can import whatever this one can.
-    kept["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-    return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+    return {
+        **environment,
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
 
 
 def _end(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str], mark: str) -> None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -53,10 +54,19 @@ _ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs
 """Classes of values that an answer may have."""
 TESTED: Final = 300.0
 """Time over which memory is looked for, s, on a plant with a time constant of 100 s."""
-_SHORT: Final = 8
-"""Samples with drives that stay away from their limits, in the test."""
-_STATE = 1e-4
-"""Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
+
+
+@dataclass(frozen=True)
+class _RestartTest:
+    """The test whether an FMU can be restarted from its states."""
+
+    short: int = 8
+    """Samples with drives that stay away from their limits, in the test."""
+    tolerance: float = 1e-4
+    """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
+
+
+_RESTART: Final = _RestartTest()
 
 
 def check_restart(model: Model) -> None:
@@ -75,31 +85,36 @@ def check_restart(model: Model) -> None:
     size = round(TESTED * plant_scale(plant, period) / period)
     low, high = plant.drive.limits
     ends = 0.5 * (plant.drive.rest + np.array([high, low]))
-    drive = np.concatenate([np.repeat(ends, _SHORT // 2), np.repeat([high, low], size // 2)])
+    drive = np.concatenate([np.repeat(ends, _RESTART.short // 2), np.repeat([high, low], size // 2)])
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
     for k, u in enumerate(drive.tolist()):
-        given = np.array([u]), model.disturbances, period, run.steps
-        after = model.kernels.advance(parameters.vector, run.states[k], *given)
-        _require_same(model, read(parameters, run.states[k]), run.output[k], after, run.states[k + 1])
+        after = model.kernels.advance(
+            parameters.vector, run.states[k], np.array([u]), model.disturbances, period, run.steps
+        )
+        output = read(parameters, run.states[k])
+        _require_same(model, output, run.output[k], after, run.states[k + 1])
     for k in (drive.size // 4, drive.size // 2, 3 * drive.size // 4):
-        again = simulate_driven(parameters, drive[k:], states=run.states[k], period=period)
+        restarted = simulate_driven(parameters, drive[k:], states=run.states[k], period=period)
         for j in range(drive.size - k):
-            here = again.output[j], run.output[k + j], again.states[j], run.states[k + j]
-            _require_same(model, *here)
+            _require_same(
+                model, restarted.output[j], run.output[k + j], restarted.states[j], run.states[k + j]
+            )
 
 
-def _require_same(model: Model, seen: float, expected: float, states: FloatArray, wanted: FloatArray) -> None:
+def _require_same(
+    model: Model, output: float, expected: float, states: FloatArray, wanted: FloatArray
+) -> None:
     spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
-    off = np.abs(states - wanted) / spans if spans.size else np.zeros(1)
-    if abs(seen - expected) <= model.plant.output.noise and off.max() <= _STATE:
+    deviations = np.abs(states - wanted) / spans if spans.size else np.zeros(1)
+    if abs(output - expected) <= model.plant.output.noise and deviations.max() <= _RESTART.tolerance:
         return
-    what = f"its output {seen:g} instead of {expected:g}"
-    if off.max() > _STATE:
-        worst = int(np.argmax(off))
-        what = f"{model.states[worst]} {states[worst]:g} instead of {wanted[worst]:g}"
+    difference = f"its output {output:g} instead of {expected:g}"
+    if deviations.max() > _RESTART.tolerance:
+        worst = int(np.argmax(deviations))
+        difference = f"{model.states[worst]} {states[worst]:g} instead of {wanted[worst]:g}"
     raise FmuError(
-        f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
+        f"{model.title}: restarted from its states, the FMU has {difference}; it has internal states that "
         "its map does not name: name all, or export it without them"
     )
 
@@ -112,9 +127,9 @@ def _insensitive(model: Model) -> frozenset[int]:
     output = model.plant.output
     free = model.structure.free
     states = begin(model.parameters(), float(np.mean(output.set_points or output.span)))
-    given = model.parameters().vector, states, model.rest, model.disturbances
+    point = model.parameters().vector, states, model.rest, model.disturbances
     try:
-        by_parameters = model.kernels_by(free).slopes_at(*given)[5]
+        by_parameters = model.kernels_by(free).slopes_at(*point)[5]
     except FmuError:  # a match will tell
         return frozenset()
     none = np.flatnonzero((by_parameters == 0.0).all(axis=0)).tolist()
@@ -140,9 +155,9 @@ class FmuKernels:
 
     def call(self, kernel: Any, *arguments: Any) -> Any:
         """The results of a kernel."""
-        each = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
+        evaluations = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
         name = f"{kernel.__module__}:{kernel.__name__}"
-        result = self._source.ask(name, self._unknown, arguments, each)
+        result = self._source.ask(name, self._unknown, arguments, evaluations)
         if kernel.__name__ in _FINITE:
             self._require_finite(result)
         return result
@@ -176,8 +191,8 @@ class FmuKernels:
 
     def normal_at(self, problem: LeastSquares, values: FloatArray, limit: float) -> Any:
         """As `twinmatch.dynamics.runs.normal_at`."""
-        given = self._single_step(problem), values, limit
-        return self._source.ask("twinmatch.fmu.functions:normal_at", [], given, 1 + 2 * values.size)
+        arguments = self._single_step(problem), values, limit
+        return self._source.ask("twinmatch.fmu.functions:normal_at", [], arguments, 1 + 2 * values.size)
 
     def search(self, problem: LeastSquares, state: Search) -> None:
         """Let a search run to its end, one request for each point."""
@@ -195,7 +210,11 @@ class FmuKernels:
 
 
 def _arrays(result: Any) -> list[Any]:
-    return [result] if not isinstance(result, tuple) else [array for one in result for array in _arrays(one)]
+    return (
+        [result]
+        if not isinstance(result, tuple)
+        else [array for member in result for array in _arrays(member)]
+    )
 
 
 class FmuSource:
@@ -204,12 +223,12 @@ class FmuSource:
     Its process is started by the first request, and abandoned for good when it is lost.
     """
 
-    def __init__(self, of: FmuMap, name: str, digest: str) -> None:
+    def __init__(self, fmu: FmuMap, name: str, digest: str) -> None:
         """Begin without a process; `digest` is the hash of the FMU that was given."""
-        self.map = of
-        self.title = f"{of.plant.title}, {name}"
-        self.parameters = of.parameters
-        self.states = of.states
+        self.map = fmu
+        self.title = f"{fmu.plant.title}, {name}"
+        self.parameters = fmu.parameters
+        self.states = fmu.states
         self.lost = ""
         """Why it can no longer be run; empty while it can."""
         self.in_use = False
@@ -265,7 +284,7 @@ class FmuSource:
             self.close()
         return StructureLostError(f"{self.title}: {self.lost}")
 
-    def ask(self, kernel: str, unknown: list[int], arguments: tuple[Any, ...], each: int) -> Any:
+    def ask(self, kernel: str, unknown: list[int], arguments: tuple[Any, ...], evaluations: int) -> Any:
         """The results of a kernel, by module and name, which takes each sample about `each` times.
 
         Arrays that it changes are changed.
@@ -282,7 +301,7 @@ class FmuSource:
             "shown": [int(k not in self.hidden) for k in unknown],
             "arguments": tree_of(arguments, arrays),
         }
-        samples = each * max((len(array) for array in arrays), default=1)
+        samples = evaluations * max((len(array) for array in arrays), default=1)
         limit = self.map.own.patience * max(samples / _SAMPLES, 1.0)
         with self._lock:
             process = self.start()
@@ -304,18 +323,18 @@ class FmuSource:
 
     def _start(self) -> FmuProcess:
         """Start the process and load the FMU, after a check against its map."""
-        of = self.map
+        fmu = self.map
         process = FmuProcess()
         try:
-            question, self._kind = loading(of, described_by(of.file, process))
-            files = {"file": str(of.file.resolve()), "folder": str(process.folder / "fmu")}
+            question, self._kind = loading(fmu, described_by(fmu.file, process))
+            files = {"file": str(fmu.file.resolve()), "folder": str(process.folder / "fmu")}
             process.ask({**question, **files, "digest": self._digest}, limit=START)
         except ProcessLostError as error:
             process.close()
-            raise FmuError(f"{of.place}: {of.file} cannot be loaded: {error}") from error
+            raise FmuError(f"{fmu.place}: {fmu.file} cannot be loaded: {error}") from error
         except FmuError as error:
             process.close()
-            raise FmuError(f"{of.place}: {error}") from error
+            raise FmuError(f"{fmu.place}: {error}") from error
         return process
 
 
@@ -333,27 +352,27 @@ def adopt_fmus(file: Path) -> tuple[Model, ...]:
         FmuError: the file or an FMU cannot be used.
         PlantError: a structure is not valid for the plant.
     """
-    return tuple(_adopt(of) for of in read_maps(file))
+    return tuple(_adopt(fmu) for fmu in read_maps(file))
 
 
-def _adopt(of: FmuMap) -> Model:
-    digest = _digest(of)
-    name = f"{of.name} (FMU {_mark(of, digest)})"
-    held = of.plant.structures.get(name)
-    if held is not None and held.external is not None and not held.external.lost:
-        return of.plant.model(name)
-    for other in [n for n in of.plant.structures if unmarked(n) == of.name and n != of.name]:
-        of.plant.disown(other)
-    source = FmuSource(of, name, digest)
-    model = of.plant.adopt(
+def _adopt(fmu: FmuMap) -> Model:
+    digest = _digest(fmu)
+    name = f"{fmu.name} (FMU {_mark(fmu, digest)})"
+    structure = fmu.plant.structures.get(name)
+    if structure is not None and structure.external is not None and not structure.external.lost:
+        return fmu.plant.model(name)
+    for outdated in [n for n in fmu.plant.structures if unmarked(n) == fmu.name and n != fmu.name]:
+        fmu.plant.disown(outdated)
+    source = FmuSource(fmu, name, digest)
+    model = fmu.plant.adopt(
         name,
         Structure(
-            free=of.own.free,
-            fixed=of.own.fixed,
-            free_starts=of.own.free_starts,
-            starts=of.searches,
-            watched=of.own.watched,
-            text=f"FMU {of.file.name}",
+            free=fmu.own.free,
+            fixed=fmu.own.fixed,
+            free_starts=fmu.own.free_starts,
+            starts=fmu.searches,
+            watched=fmu.own.watched,
+            text=f"FMU {fmu.file.name}",
             external=source,
         ),
     )
@@ -363,31 +382,42 @@ def _adopt(of: FmuMap) -> Model:
         source.hidden = _insensitive(model)
         source.in_use = True
     except BaseException:
-        of.plant.disown(name)
+        fmu.plant.disown(name)
         raise
     return model
 
 
-def _digest(of: FmuMap) -> str:
-    if not of.file.is_file():  # a pipe or a device would never end
-        raise FmuError(f"{of.place}: {of.file} does not exist or is not a file; give the path of an FMU")
+def _digest(fmu: FmuMap) -> str:
+    if not fmu.file.is_file():  # a pipe or a device would never end
+        raise FmuError(f"{fmu.place}: {fmu.file} does not exist or is not a file; give the path of an FMU")
     try:
-        if of.file.stat().st_size > MAX_BYTES:
-            raise FmuError(f"{of.place}: {of.file} is larger than the limit of {MAX_BYTES >> 20} MiB")
-        return digest_of(of.file)
+        if fmu.file.stat().st_size > MAX_BYTES:
+            raise FmuError(f"{fmu.place}: {fmu.file} is larger than the limit of {MAX_BYTES >> 20} MiB")
+        return digest_of(fmu.file)
     except OSError as error:
-        raise FmuError(f"{of.place}: {of.file} cannot be read: {error.strerror}") from error
+        raise FmuError(f"{fmu.place}: {fmu.file} cannot be read: {error.strerror}") from error
 
 
-def _mark(of: FmuMap, digest: str) -> str:
+def _in_order(table: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Names and values, in an order that does not depend on the file's."""
+    return sorted((name, repr(value)) for name, value in table.items())
+
+
+def _mark(fmu: FmuMap, digest: str) -> str:
     """First digits of a hash of the FMU and its map, without the path of the file."""
-    tables = (
-        of.links, {name: formula.text for name, formula in of.starts.items()}, of.own.fixed, of.parameters,
-        of.states,
-    )  # fmt: skip
-    links, starts, fixed, *own = (sorted((n, repr(v)) for n, v in table.items()) for table in tables)
-    what = digest, of.own.kind, links, starts, of.own.free, fixed, of.own.free_starts, *own
-    return hashlib.sha256(repr(what).encode()).hexdigest()[:8]
+    formulas = {name: formula.text for name, formula in fmu.starts.items()}
+    contents = (
+        digest,
+        fmu.own.kind,
+        _in_order(fmu.links),
+        _in_order(formulas),
+        fmu.own.free,
+        _in_order(fmu.own.fixed),
+        fmu.own.free_starts,
+        _in_order(fmu.parameters),
+        _in_order(fmu.states),
+    )
+    return hashlib.sha256(repr(contents).encode()).hexdigest()[:8]
 
 
 def described_by(file: Path, process: FmuProcess) -> Described:

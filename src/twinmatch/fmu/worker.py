@@ -18,6 +18,7 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -51,9 +52,21 @@ from twinmatch.fmu.process import (
 
 MEMORY: Final = 2 << 30
 """Memory that the FMU may use in addition to that of this process before loading, bytes."""
-_GRACE: Final = 10
-"""Seconds after the time limit at which the process ends itself."""
-_MAX_SECONDS: Final = 1e8
+
+
+@dataclass(frozen=True)
+class _TimeLimit:
+    """When the process ends itself, s."""
+
+    grace: int = 10
+    """Time after that of the request."""
+    most: float = 1e8
+    """Longest alarm that is set."""
+
+
+_TIME_LIMIT: Final = _TimeLimit()
+
+
 DESCRIPTION: Final = "modelDescription.xml"
 
 
@@ -78,7 +91,9 @@ class LoadedFmu:
         self._m = len(load["parameters"])
         self._n = len(load["starts"])
         self._formulas = [Formula(f"start of a state of {described.name}", text) for text in load["starts"]]
-        references = {name: np.array(those, dtype=np.uint32) for name, those in load["references"].items()}
+        references = {
+            name: np.array(of_variables, dtype=np.uint32) for name, of_variables in load["references"].items()
+        }
         self._memory = machine.memory_for(self._m, self._n, len(references["inputs"]))
         self.machine = machine.machine_of.py_func(*self._memory)  # type: ignore[attr-defined]
         self._kept = references, _RENEW(self._renew), _START(self._start)
@@ -88,28 +103,36 @@ class LoadedFmu:
         head.instance = self._fmu.component
         head.fmi_3 = self._major == 3
         head.exchange = kind == MODEL_EXCHANGE
-        for name, those in references.items():
-            head[name] = those.ctypes.data
+        for name, of_variables in references.items():
+            head[name] = of_variables.ctypes.data
         if kind == MODEL_EXCHANGE:
-            own = described.indicators if self._major == 2 else self._fmu.getNumberOfEventIndicators()
-            head.n_indicators = own
+            if self._major == 2:
+                head.n_indicators = described.indicators
+            else:
+                head.n_indicators = self._fmu.getNumberOfEventIndicators()
             self.machine.functions[machine.COMPLETED] *= described.after_steps
-        self.machine.places[:], self.machine.given[: len(load["given"])] = load["places"], load["given"]
-        values = ("factors", "offsets", "held", "sizes", "lowest", "highest")
-        for name, numbers in zip(values, load["numbers"], strict=True):
-            getattr(self.machine, name)[: len(numbers)] = numbers
-        head.rest = load["rest"]
-        head.sample = load["sample"]
+        self._set_numbers(load)
         self._owner, self._addresses = functions.functions_for(
             self._memory[0].ctypes.data,
             self._memory[1].ctypes.data,
             ctypes.cast(self._kept[2], ctypes.c_void_p).value or 0,
         )
 
+    def _set_numbers(self, load: Mapping[str, Any]) -> None:
+        """Give the machine the places of states and inputs, and the numbers of all its variables."""
+        self.machine.places[:] = load["places"]
+        self.machine.given[: len(load["given"])] = load["given"]
+        arrays = ("factors", "offsets", "held", "sizes", "lowest", "highest")
+        for name, numbers in zip(arrays, load["numbers"], strict=True):
+            getattr(self.machine, name)[: len(numbers)] = numbers
+        self.machine.head[0].rest = load["rest"]
+        self.machine.head[0].sample = load["sample"]
+
     def code(self, unknown: list[int], shown: list[int]) -> Code:
         """The FMU for kernels, with derivatives by these of its parameters; `shown`: of the output, too."""
         self.machine.head[0].n_unknown = len(unknown)
-        self.machine.unknown[: len(unknown)], self.machine.shown[: len(shown)] = unknown, shown
+        self.machine.unknown[: len(unknown)] = unknown
+        self.machine.shown[: len(shown)] = shown
         return functions.code_for(self._addresses, self._m, self._n, len(unknown))
 
     def require_success(self) -> None:
@@ -135,22 +158,34 @@ class LoadedFmu:
 
     def _start(self, y: Any, u: Any, d: Any, p: Any, _: Any, out: Any) -> None:
         """Initial states at an output y after a drive u; their derivatives by y and by the unknowns."""
-        output, drive, *others = self._load["signals"]
+        output = self._load["signals"][0]
         names = self._load["parameters"]
         n = self._n
-        values = {output: y[0], drive: u[0]}
-        values |= dict(zip(others, d[: len(others)], strict=True))
-        values |= dict(zip(names, p[: len(names)], strict=True))
+        values = self._values_at(float(y[0]), float(u[0]), d, p)
         reach = functions.WIDTH * (1.0 + abs(y[0]))
         unknown = self.machine.unknown[: self.machine.head[0].n_unknown].tolist()
-        ends = [functions.ends_of.py_func(self.machine, k, p[k]) for k in unknown]  # type: ignore[attr-defined]
-        of = [(output, (y[0] + reach, y[0] - reach)), *zip([names[k] for k in unknown], ends, strict=True)]
         for i, formula in enumerate(self._formulas):
             out[i] = formula(values)
-            for j, (name, (high, low)) in enumerate(of):
-                place = n + i if j == 0 else 2 * n + i * len(unknown) + j - 1
-                rise = formula({**values, name: high}) - formula({**values, name: low})
-                out[place] = rise / (high - low)
+            out[n + i] = _slope(formula, values, output, (y[0] + reach, y[0] - reach))
+            for j, k in enumerate(unknown):
+                ends = functions.ends_of.py_func(self.machine, k, p[k])  # type: ignore[attr-defined]
+                out[2 * n + i * len(unknown) + j] = _slope(formula, values, names[k], ends)
+
+    def _values_at(self, y: float, u: float, d: Any, p: Any) -> dict[str, float]:
+        """Output, drive, disturbances and parameters by name, for the formulas of initial states."""
+        output, drive, *disturbances = self._load["signals"]
+        parameters = self._load["parameters"]
+        values = {output: y, drive: u}
+        values |= dict(zip(disturbances, d[: len(disturbances)], strict=True))
+        values |= dict(zip(parameters, p[: len(parameters)], strict=True))
+        return values
+
+
+def _slope(formula: Formula, values: Mapping[str, float], name: str, ends: tuple[float, float]) -> float:
+    """The derivative of a formula by one of its values, from those at both ends, the higher one first."""
+    high, low = ends
+    rise = formula({**values, name: high}) - formula({**values, name: low})
+    return float(rise / (high - low))
 
 
 _RENEW: Final = ctypes.CFUNCTYPE(ctypes.c_int)
@@ -166,13 +201,13 @@ def _instance(folder: Path, described: Described, kind: str) -> Any:
     from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415 (an extra)
 
     major = int(described.version[0])
-    here = platform if major == 2 else platform_tuple
-    if here not in described.platforms:
+    machine_name = platform if major == 2 else platform_tuple
+    if machine_name not in described.platforms:
         available = ", ".join(described.platforms) or "no platform"
-        raise FmuRunError(f"it has binaries for {available}; this machine is {here}")
+        raise FmuRunError(f"it has binaries for {available}; this machine is {machine_name}")
     classes = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[major]
     identifier = described.identifiers[described.kinds.index(kind)]
-    library = folder / "binaries" / here / f"{identifier}.so"
+    library = folder / "binaries" / machine_name / f"{identifier}.so"
     name = library.relative_to(folder)
     if not library.is_file():
         raise FmuRunError(f"it has no {name}, the program for this machine; export it again")
@@ -201,8 +236,10 @@ class FmuWorker:
         self._answers = answers
         self._fmu: LoadedFmu | None = None
         self._asks: dict[str, Callable[[ProcessMessage], bytes]] = {
-            "describe": self._describe, "load": self._load_fmu, "call": self._call,
-        }  # fmt: skip
+            "describe": self._describe,
+            "load": self._load_fmu,
+            "call": self._call,
+        }
 
     def answer(self, message: ProcessMessage) -> None:
         """Answer a request; errors of the FMU are an answer too."""
@@ -240,16 +277,16 @@ class FmuWorker:
         arrays = message.arrays
         kernel = _named(header["kernel"])
         before = [array.tobytes() for array in arrays]
-        own = (self._fmu.machine,) if kernel is functions.normal_at else ()
-        given = value_of(header["arguments"], arrays, _named)
+        owners = (self._fmu.machine,) if kernel is functions.normal_at else ()
+        arguments = value_of(header["arguments"], arrays, _named)
         code = self._fmu.code(header["unknown"], header["shown"])
         if kernel is foresee_each:  # of several plants, of which this is the only one
             code = code[np.newaxis]
-        whole = (code, *own, *given)
+        whole = (code, *owners, *arguments)
         kinds = tuple(map(numba.typeof, whole))
         if kinds not in kernel.overloads:
             self._say(packed({"loading": True}))
-            signal.alarm(math.ceil(min(2 * header["limit"] + START, _MAX_SECONDS)) + _GRACE)
+            signal.alarm(math.ceil(min(2 * header["limit"] + START, _TIME_LIMIT.most)) + _TIME_LIMIT.grace)
             kernel.compile(kinds)
             self._say(packed({"loading": False}))
         result = kernel(*whole)
@@ -261,8 +298,8 @@ class FmuWorker:
 
 def _named(name: str) -> Any:
     """A kernel, or the class of an argument, by module and name."""
-    module, _, what = name.partition(":")
-    return getattr(importlib.import_module(module), what)
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)
 
 
 def main() -> None:
@@ -279,7 +316,7 @@ def main() -> None:
         while True:
             message = unpacked(lambda size: _read(questions, size))
             # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
-            signal.alarm(math.ceil(min(message.header["limit"], _MAX_SECONDS)) + _GRACE)
+            signal.alarm(math.ceil(min(message.header["limit"], _TIME_LIMIT.most)) + _TIME_LIMIT.grace)
             worker.answer(message)
             signal.alarm(0)
     _leave(folder)
@@ -294,13 +331,13 @@ def _read(questions: BinaryIO, size: int) -> bytes:
 
 def _limit() -> None:
     """Limit the memory and the file sizes of the FMU."""
-    taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-    for what, most in (
-        (resource.RLIMIT_AS, taken + MEMORY),
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    for limit, most in (
+        (resource.RLIMIT_AS, used + MEMORY),
         (resource.RLIMIT_FSIZE, MAX_BYTES),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(what, (most, most))
+        resource.setrlimit(limit, (most, most))
 
 
 def _end_with(parent: int, folder: Path) -> None:

@@ -26,28 +26,48 @@ from twinmatch.signals import FloatArray, Sample
 
 BLOCK: Final = 10.0
 """Length of a block, s: corrections are learned from the means of blocks."""
-_WARMTH_TIME: Final = 150.0
-"""Time over which the drive's part is averaged to stand for the warmth of a heat sink, s."""
+
+
+@dataclass(frozen=True)
+class _Corrections:
+    """How the corrections of a balance are learned."""
+
+    warmth: float = 150.0
+    """Time over which the drive's part is averaged to stand for the warmth of a heat sink, s."""
+    noise: float = 2.0
+    """Standard deviation of a block's error from other causes: sets the weight of one block."""
+    memory: int = 360
+    """Forgetting time of the corrections, blocks (an hour)."""
+    largest_error: float = 3.0
+    """Limit on the error of a block that is learned from."""
+    confirming: int = 3
+    """Healthy blocks that must follow before a block is learned from."""
+    counted_after: int = 6
+    """Blocks after which one counts against a record that was earned: by then a fault has been reported."""
+
+
+_CORRECTIONS: Final = _Corrections()
+
+
 _PRIOR: Final = (0.3, 0.4, 1.0, 0.3)
 """Standard deviations of the four corrections before anything is known; the third in noises per second."""
-_BLOCK_NOISE: Final = 2.0
-"""Standard deviation of a block's error from other causes: sets the weight of one block."""
-_MEMORY: Final = 360
-"""Forgetting time of the corrections, blocks (an hour)."""
-_LARGEST_ERROR: Final = 3.0
-"""Limit on the error of a block that is learned from."""
-_CONFIRMING: Final = 3
-"""Healthy blocks that must follow before a block is learned from."""
-_COUNTED_AFTER: Final = 6
-"""Blocks after which one counts against a record that was earned: by then a fault has been reported."""
 _KEPT: Final = 1.0 - 1.0 / 60.0
 """What a block leaves of the record before: ten minutes; a start that went wrong is soon forgotten."""
 TRIAL: Final = 30
 """Number of newest blocks on which other parameters are tried."""
-_ROUGH: Final = 1.5
-"""Roughness below which no other parameters are tried: a healthy rig reaches it."""
-_BETTER: Final = 0.25
-"""Share of the mean square error that they must get below: half the error."""
+
+
+@dataclass(frozen=True)
+class _OtherParameters:
+    """When other parameters are tried, and taken."""
+
+    rough: float = 1.5
+    """Roughness below which no other parameters are tried: a healthy rig reaches it."""
+    better: float = 0.25
+    """Share of the mean square error that they must get below: half the error."""
+
+
+_OTHERS: Final = _OtherParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +94,13 @@ class _Correction:
     def learn(self, parts: FloatArray, surplus: float) -> None:
         """Take the mean parts of one block and the error of the uncorrected balance, per second."""
         error = surplus - float(parts @ self.values)
-        largest = _LARGEST_ERROR * self._noise
+        largest = _CORRECTIONS.largest_error * self._noise
         error = min(max(error, -largest), largest)
         reach = self.covariance @ parts
-        gain = reach / ((_BLOCK_NOISE * self._noise) ** 2 + float(parts @ reach))
+        gain = reach / ((_CORRECTIONS.noise * self._noise) ** 2 + float(parts @ reach))
         self.values = self.values + gain * error
         self.covariance = self.covariance - np.outer(gain, reach)
-        self.covariance = self.covariance + (self._prior - self.covariance) / _MEMORY
+        self.covariance = self.covariance + (self._prior - self.covariance) / _CORRECTIONS.memory
 
 
 class Balance:
@@ -139,7 +159,7 @@ class Balance:
         self._sums[3] += self._warmth * self._period
         self._moved += moved
         self._count += 1
-        self._warmth += (drive / self._period - self._warmth) * self._period / _WARMTH_TIME
+        self._warmth += (drive / self._period - self._warmth) * self._period / _CORRECTIONS.warmth
         explained = (1.0 + a) * drive + (1.0 + b) * passive + constant
         # The drive's part may be corrected, but not to nothing.
         return Movement(max(1.0 + a, 0.5) * drive, (1.0 + b) * passive + constant, moved - explained)
@@ -161,11 +181,10 @@ class Balance:
             return
         self._errors.append(self._error_of(parts, surplus))
         self._resting.append(surplus + float(parts[0]))
-        self.roughness, self.at_rest = (
-            math.sqrt(sum(e * e for e in errors) / len(errors)) for errors in (self._errors, self._resting)
-        )
+        self.roughness = _root_mean_square(self._errors)
+        self.at_rest = _root_mean_square(self._resting)
         self._waiting.append((parts, surplus))
-        if len(self._waiting) > _CONFIRMING:
+        if len(self._waiting) > _CORRECTIONS.confirming:
             self._correction.learn(*self._waiting.popleft())
             self._values = self._correction.values.tolist()
 
@@ -182,7 +201,7 @@ class Balance:
     def compare(self, parts: FloatArray, surplus: float) -> None:
         """Compare a block with what was expected of it; it counts unless a fault is reported soon after."""
         self._unsettled.append((self._error_of(parts, surplus), surplus + float(parts[0] + parts[1])))
-        while len(self._unsettled) > (_COUNTED_AFTER if self.earned else 0):
+        while len(self._unsettled) > (_CORRECTIONS.counted_after if self.earned else 0):
             self._record = self._record.after(*self._unsettled.popleft(), _KEPT)
 
     def forget_newest(self) -> None:
@@ -192,12 +211,12 @@ class Balance:
     @property
     def rough(self) -> bool:
         """Whether the balance is so inaccurate that other parameters should be tried."""
-        return self._enough_blocks and self.roughness > _ROUGH * self.noise
+        return self._enough_blocks and self.roughness > _OTHERS.rough * self.noise
 
     @property
     def smooth(self) -> bool:
         """Whether the balance has proved to explain the plant well."""
-        return self._enough_blocks and self.roughness <= _ROUGH * self.noise
+        return self._enough_blocks and self.roughness <= _OTHERS.rough * self.noise
 
     @property
     def _enough_blocks(self) -> bool:
@@ -215,7 +234,7 @@ class Balance:
             if full is not None:
                 errors.append(full[1])
                 trial.learn(*full, healthy=True)
-        better = errors and np.mean(np.square(errors)) < _BETTER * self.roughness**2
+        better = errors and np.mean(np.square(errors)) < _OTHERS.better * self.roughness**2
         return trial if better else self
 
     def _parts(self, sample: Sample) -> tuple[float, float]:
@@ -223,9 +242,15 @@ class Balance:
         model = self.parameters.model
         row = model.disturbance_row(sample.disturbances or None)
         drive, passive, self._states = model.kernels.parts(
-            self.parameters.vector, float(sample.output), self._states, float(sample.input),
-            float(model.plant.drive.rest), row, self._sampled, self._steps,
-        )  # fmt: skip
+            self.parameters.vector,
+            float(sample.output),
+            self._states,
+            float(sample.input),
+            float(model.plant.drive.rest),
+            row,
+            self._sampled,
+            self._steps,
+        )
         return drive, passive
 
     def _error_of(self, parts: FloatArray, surplus: float) -> float:
@@ -241,3 +266,7 @@ class Balance:
 def _prior(noise: float) -> FloatArray:
     """Covariance of the four corrections before anything is known, for an output of this noise."""
     return np.diag(np.square(_PRIOR) * np.square([1.0, 1.0, noise, 1.0]))
+
+
+def _root_mean_square(errors: deque[float]) -> float:
+    return math.sqrt(sum(error * error for error in errors) / len(errors))

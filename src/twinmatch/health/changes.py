@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -29,29 +29,81 @@ from twinmatch.signals import FloatArray, Sample
 
 _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
 """A fan that fails, a lid that opens: logarithm of the factor, and its spread."""
-_ROOM: Final = 0.8
-"""Spread of a change of the room, in the scale of the parameter."""
-_HEAT: Final = 2.5
-"""The same for heat from elsewhere, which acts as another room would."""
-_SHARE: Final = 0.3
-_LOST: Final = 0.1
-"""Spreads of a change of the drive's share, and of what a lost one lacks of it."""
-_ONSETS: Final = 4
-"""Number of moments tried for a lost drive between two at which other changes may have begun."""
-_OFFSET: Final = 30.0
-"""Spread of an offset of the reading, in standard deviations of its noise."""
-_PUSH: Final = 1.0
-"""Spread of a push, in standard deviations of the noise per sample."""
+
+
+@dataclass(frozen=True)
+class _Spreads:
+    """Spreads of the changes that are expected."""
+
+    room: float = 0.8
+    """Of a change of the room, in the scale of the parameter."""
+    heat: float = 2.5
+    """Of heat from elsewhere, which acts as another room would, in the same scale."""
+    share: float = 0.3
+    """Of a change of the drive's share."""
+    lost: float = 0.1
+    """Of what a lost drive lacks of its share."""
+    offset: float = 30.0
+    """Of an offset of the reading, in standard deviations of its noise."""
+    push: float = 1.0
+    """Of a push, in standard deviations of the noise per sample."""
+
+
+_SPREADS: Final = _Spreads()
+
+
+@dataclass(frozen=True)
+class _ChangeSearch:
+    """When changes are looked for, and which of them count."""
+
+    onsets: int = 4
+    """Number of moments tried for a lost drive between two at which other changes may have begun."""
+    every: int = 2
+    """Spacing of the moments at which a change may have begun or ceased, blocks."""
+    hour: int = 360
+    """Blocks of an hour of a plant as fast as the rig."""
+    youngest: int = 3
+    """Least age of a change that is reported, blocks."""
+    step_age: int = 10
+    """Greatest age up to which a step of the reading alone is a reason to look for a change, blocks."""
+    came_back: float = 0.5
+    """Share of the smallest change worth reporting below which a number has come back."""
+    learn: int = 30
+    """Blocks that must be seen before a change is reported."""
+    worth: float = 4.0
+    """Nats that a jump must save before the tracker is run for each hypothesis, and by which one onset
+    must beat another to count as the beginning of the change."""
+    patience: int = 12
+    """Comparisons without result after which they are made less often."""
+    rarest: int = 6
+    """Most blocks between two comparisons."""
+
+
+_SEARCH: Final = _ChangeSearch()
+
+
 _PASSING: Final = ((3.0, 30.0), (12.0, 30.0), (3.0, 90.0))
 """The same for a push that passes, which may be stronger for being short, and the time after its onset, s,
 within which it changes."""
-_SLOW_TIME: Final = 300.0
-"""Time in which a slow change covers its spread, s."""
-_ROOM_TIME: Final = 1800.0
-"""The same for the room, s: a failed fan warms the sink in minutes; the room never changes so fast."""
-_RARE: Final = 2.5
-"""Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more often, and
-the sink's response to that looks much the same."""
+
+
+@dataclass(frozen=True)
+class _SlowCourse:
+    """Changes that grow evenly."""
+
+    time: float = 300.0
+    """Time in which one covers its spread, s."""
+    room_time: float = 1800.0
+    """Time in which one of the room covers its spread, s: a failed fan warms the sink in minutes; the
+    room never changes so fast."""
+    price: float = 2.5
+    """Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more
+    often, and the sink's response to that looks much the same."""
+
+
+_SLOW_COURSE: Final = _SlowCourse()
+
+
 _MIN_SIZE: Final = {
     Fault.LOSSES_CHANGED: 0.4,
     Fault.ROOM_CHANGED: 0.3,
@@ -73,9 +125,9 @@ class Hypothesis:
     index: int
     """Index of that number in the belief."""
     shift: float
-    """Expected size of the change …"""
+    """Expected size of the change."""
     spread: float
-    """… and its standard deviation."""
+    """Standard deviation of that size."""
     least: float
     """Smallest shift worth reporting."""
     parameter: str = ""
@@ -112,9 +164,9 @@ class DetectedChange:
     begun: bool
     """Whether it began at `first`; False if it may have been there from the start."""
     rivals: tuple[Fault, ...] = ()
-    """The other kinds, best first …"""
+    """The other kinds, best first."""
     gains: tuple[float, ...] = ()
-    """… and what each gains."""
+    """What each of the other kinds gains."""
     off: float = 0.0
     """How far the readings would have shifted, if it were that, in the output's unit."""
 
@@ -137,74 +189,103 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
     `steps`: whether only a sensor that has shifted makes a step of the reading. A camera that corrects itself
     makes some when it is healthy.
     """
-    found: list[Hypothesis] = []
+    scale = slow_scale(tracker.parameters.model.plant, period)
+    roles = _changes_of_roles(tracker)
+    rooms = [h for h in roles if h.fault is Fault.ROOM_CHANGED]
+    slow_rooms = [replace(h, slowly=_SLOW_COURSE.room_time, price=_SLOW_COURSE.price) for h in rooms]
+    passing = _passing(tracker, noise / (scale if scale > 1.0 else time_scale(period)))
+    changes = [*roles, *slow_rooms]
+    if steps:
+        changes.append(_lost_drive(tracker))
+    changes += _changes_of_every_plant(tracker, noise, period)
+    if steps:
+        changes += [
+            replace(h, at_once=True) for h in changes if h.fault is Fault.SENSOR_DRIFT and not h.slowly
+        ]
+    changes += passing
+    if steps:
+        for room in rooms:
+            changes += _heat_like(room, passing[0].least)
+    return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in changes]
+
+
+def _changes_of_roles(tracker: Tracker) -> list[Hypothesis]:
+    """Sudden changes of parameters with a role in the plant's file."""
+    changes: list[Hypothesis] = []
     for name in tracker.free:
         declared = tracker.parameters.model.declared[name]
         logged = bool(tracker.logged[tracker.free.index(name)])
         if declared.role == TRAITS[Fault.LOSSES_CHANGED].role and logged:
             least = _MIN_SIZE[Fault.LOSSES_CHANGED]
-            found += [
-                Hypothesis(Fault.LOSSES_CHANGED, tracker.at[name], s, w, least, name) for s, w in _LOSSES
-            ]
+            for shift, spread in _LOSSES:
+                changes.append(Hypothesis(Fault.LOSSES_CHANGED, tracker.at[name], shift, spread, least, name))
         if declared.role == TRAITS[Fault.ROOM_CHANGED].role:
             scale = 0.05 if logged else declared.scale
             least = _MIN_SIZE[Fault.ROOM_CHANGED] * scale
-            found.append(Hypothesis(Fault.ROOM_CHANGED, tracker.at[name], 0.0, _ROOM * scale, least, name))
-    found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.fault is Fault.ROOM_CHANGED]
-    if steps:
-        price = math.log(_ONSETS)
-        found.append(
-            Hypothesis(Fault.DRIVE_LOST, tracker.share, -1.0, _LOST, _MIN_SIZE[Fault.DRIVE_LOST], price=price)
-        )
+            changes.append(
+                Hypothesis(Fault.ROOM_CHANGED, tracker.at[name], 0.0, _SPREADS.room * scale, least, name)
+            )
+    return changes
+
+
+def _lost_drive(tracker: Tracker) -> Hypothesis:
+    """The drive has no effect any longer, from one of some moments on."""
+    price = math.log(_SEARCH.onsets)
+    return Hypothesis(
+        Fault.DRIVE_LOST, tracker.share, -1.0, _SPREADS.lost, _MIN_SIZE[Fault.DRIVE_LOST], price=price
+    )
+
+
+def _changes_of_every_plant(tracker: Tracker, noise: float, period: float) -> Iterator[Hypothesis]:
+    """Changes of the drive's share and of the reading, at once or slowly, and an unnamed push."""
     for fault, index, unit, spread in (
-        (Fault.DRIVE_WEAK, tracker.share, 1.0, _SHARE),
-        (Fault.SENSOR_DRIFT, tracker.offset, noise, _OFFSET),
-        (Fault.DRIFT, tracker.push, noise / period, _PUSH),
+        (Fault.DRIVE_WEAK, tracker.share, 1.0, _SPREADS.share),
+        (Fault.SENSOR_DRIFT, tracker.offset, noise, _SPREADS.offset),
+        (Fault.DRIFT, tracker.push, noise / period, _SPREADS.push),
     ):
         sudden = Hypothesis(fault, index, 0.0, spread * unit, _MIN_SIZE[fault] * unit)
-        found += (
-            [sudden] if fault is Fault.DRIFT else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
-        )
-    scale = slow_scale(tracker.parameters.model.plant, period)
-    unit = noise / (scale if scale > 1.0 else time_scale(period))
-    if steps:
-        found += [replace(h, at_once=True) for h in found if h.fault is Fault.SENSOR_DRIFT and not h.slowly]
-    passing = Hypothesis(Fault.DISTURBANCE, tracker.fading, 0.0, 0.0, _MIN_SIZE[Fault.DISTURBANCE] * unit)
-    found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
-    for room in [h for h in found if h.fault is Fault.ROOM_CHANGED and not h.slowly and steps]:
-        heat = replace(room, spread=_HEAT / _ROOM * room.spread, vague=True)
-        found += [heat, replace(heat, fault=Fault.DISTURBANCE, least=passing.least, ceases=True)]
-    return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
+        yield sudden
+        if fault is not Fault.DRIFT:
+            yield replace(sudden, slowly=_SLOW_COURSE.time, price=_SLOW_COURSE.price)
 
 
-_EVERY: Final = 2
-"""Spacing of the moments at which a change may have begun or ceased, blocks."""
-_HOUR: Final = 360
-"""Blocks of an hour of a plant as fast as the rig."""
-_MIN_AGE: Final = 3
-"""Least age of a change that is reported, blocks."""
-_STEP_AGE: Final = 10
-"""Greatest age up to which a step of the reading alone is a reason to look for a change, blocks."""
-_CAME_BACK: Final = 0.5
-"""Share of the smallest change worth reporting below which a number has come back."""
-_LEARN: Final = 30
-"""Blocks that must be seen before a change is reported."""
-_WORTH: Final = 4.0
-"""Nats that a jump must save before the tracker is run for each hypothesis, and by which one onset must beat
-another to count as the beginning of the change."""
+def _passing(tracker: Tracker, unit: float) -> list[Hypothesis]:
+    """Pushes that pass, in units of the noise per sample."""
+    least = _MIN_SIZE[Fault.DISTURBANCE] * unit
+    return [
+        Hypothesis(Fault.DISTURBANCE, tracker.fading, 0.0, spread * unit, least, lasting=time)
+        for spread, time in _PASSING
+    ]
+
+
+def _heat_like(room: Hypothesis, least: float) -> Iterator[Hypothesis]:
+    """Heat from elsewhere, which acts as another room would, for good or until it ceases.
+
+    `least` is the smallest passing push worth reporting.
+    """
+    heat = replace(room, spread=_SPREADS.heat / _SPREADS.room * room.spread, vague=True)
+    yield heat
+    yield replace(heat, fault=Fault.DISTURBANCE, least=least, ceases=True)
+
+
 _LESS_ACCURATE: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT, Fault.DISTURBANCE})
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
-_COARSE: Final = 2.0
-"""Factor on what a late input saves: those that are tried are pure delays or lags, some seconds apart, and a
-plant that has both, or one in between, is explained better by its own."""
-_ABSORBED_AFTER: Final = 24
-"""Age from which on what a late input explains is taken for how the plant is, blocks: before long, its onset
-is out of reach, and its trace would look like a change that came later."""
-_PATIENCE: Final = 12
-"""Comparisons without result after which they are made less often …"""
-_RAREST: Final = 6
-"""… down to once in so many blocks."""
+
+
+@dataclass(frozen=True)
+class _LateInputs:
+    """How inputs that act later than the equations say compete with changes."""
+
+    coarse: float = 2.0
+    """Factor on what a late input saves: those that are tried are pure delays or lags, some seconds
+    apart, and a plant that has both, or one in between, is explained better by its own."""
+    absorbed_after: int = 24
+    """Age from which on what a late input explains is taken for how the plant is, blocks: before long,
+    its onset is out of reach, and its trace would look like a change that came later."""
+
+
+_LATE_INPUTS: Final = _LateInputs()
 
 
 _UNIVERSAL: Final = 2.865064
@@ -221,9 +302,28 @@ class _Found(NamedTuple):
     belief: Belief
 
 
+class _Unchanged(NamedTuple):
+    """Code lengths of the readings if nothing has changed, nats."""
+
+    total: float
+    before: FloatArray
+    """Of the blocks up to each one, shape (N,)."""
+    dispersion: float
+    """By how much evidence is divided."""
+
+    def saved(self, cost: float, age: int) -> float:
+        """What a code of this length for the blocks of an age saves, in nats that count."""
+        return (self.total - float(self.before[-age - 1]) - cost) / self.dispersion
+
+
 _Course = Callable[[Readings], tuple[Belief, float]]
 """The belief after all readings since an onset under a hypothesis, and their code length; called with more
 and more readings, of which each is tracked once."""
+
+
+def _cost_of(explanation: tuple[Belief, float]) -> float:
+    """Code length of the readings, nats."""
+    return explanation[1]
 
 
 class ChangeDetector:
@@ -265,7 +365,7 @@ class ChangeDetector:
     @property
     def compares(self) -> bool:
         """Whether the plant has been seen for long enough, and follows its equations well enough."""
-        return self.tracked.known >= _LEARN and not self.tracked.blind
+        return self.tracked.known >= _SEARCH.learn and not self.tracked.blind
 
     @property
     def block(self) -> float:
@@ -309,7 +409,7 @@ class ChangeDetector:
         stretch = self.tracked.full(sample)
         if stretch is None:
             return None
-        if self.tracked.count % _EVERY == 0:
+        if self.tracked.count % _SEARCH.every == 0:
             self._start()
         self.tracked.take(stretch, self._traces, settled=self.suspected)
         if self.tracked.moved_level:
@@ -326,7 +426,7 @@ class ChangeDetector:
         if self.changed:
             self._changed_at = tracked.count
         if tracked.count - self._changed_at >= HORIZONS[-1]:
-            newcomer = tracked.known < _LEARN
+            newcomer = tracked.known < _SEARCH.learn
             self.track_record.push(tracked.blocks, tracked.count, tracked.level, newcomer=newcomer)
 
     def pushes(self) -> FloatArray:
@@ -377,7 +477,7 @@ class ChangeDetector:
         """Look for jumps from now on only."""
         n = self.tracker.size
         kinds = len(self._jumps)
-        starts = REACH // _EVERY
+        starts = REACH // _SEARCH.every
         self._traces = Traces(
             np.zeros((n, kinds, starts)), np.zeros((kinds, starts)), np.zeros((kinds, starts))
         )
@@ -385,7 +485,7 @@ class ChangeDetector:
 
     def _start(self) -> None:
         """Start the traces of a jump that happens now."""
-        start = self.tracked.count // _EVERY % self._started.size
+        start = self.tracked.count // _SEARCH.every % self._started.size
         self._started[start] = self.tracked.count
         for array in self._traces:
             array[..., start] = 0.0
@@ -396,28 +496,32 @@ class ChangeDetector:
         """The change, if a jump of any number saves more than it costs."""
         count = self.tracked.count
         longest = len(self.tracked.blocks)
+        age = count - self._started
+        is_possible = (self._started >= 0) & (age >= _SEARCH.youngest) & (age <= longest)
+        worth = np.where(is_possible, self._worth_of_jumps(), 0.0)
+        stepped = self._stepped
+        if worth.max() < _SEARCH.worth * self.track_record.dispersion and self._best is None and not stepped:
+            self._asking = 0
+            return None
+        self._idle += 1
+        if self._idle < min(1 + self._asking // _SEARCH.patience, _SEARCH.rarest):
+            return None
+        self._idle = 0
+        self._asking = self._asking + 1
+        likeliest = stepped or int(age[np.argmax(worth.max(axis=0))])
+        ages = {likeliest - _SEARCH.every, likeliest, likeliest + _SEARCH.every}
+        if self._best is not None:
+            ages.add(round((self.tracked.blocks[-1].first - self._best[0].first) / self.tracked.size) + 1)
+        ages_to_compare = sorted(a for a in ages if _SEARCH.youngest <= a <= longest)
+        return self._compare(ages_to_compare) if ages_to_compare else None
+
+    def _worth_of_jumps(self) -> FloatArray:
+        """What a jump of each number at each moment saves, nats, shape (numbers, moments)."""
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
         hits = self._traces.hits
         weights = self._traces.weights
         worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
-        age = count - self._started
-        fits = (self._started >= 0) & (age >= _MIN_AGE) & (age <= longest)
-        worth = np.where(fits, worth, 0.0)
-        stepped = self._stepped
-        if worth.max() < _WORTH * self.track_record.dispersion and self._best is None and not stepped:
-            self._asking = 0
-            return None
-        self._idle += 1
-        if self._idle < min(1 + self._asking // _PATIENCE, _RAREST):
-            return None
-        self._idle = 0
-        self._asking = self._asking + 1
-        best = stepped or int(age[np.argmax(worth.max(axis=0))])
-        ages = {best - _EVERY, best, best + _EVERY}
-        if self._best is not None:
-            ages.add(round((self.tracked.blocks[-1].first - self._best[0].first) / self.tracked.size) + 1)
-        kept = sorted(a for a in ages if _MIN_AGE <= a <= longest)
-        return self._compare(kept) if kept else None
+        return np.asarray(worth, dtype=np.float64)
 
     @property
     def _stepped(self) -> int:
@@ -426,73 +530,85 @@ class ChangeDetector:
         Such a step may be taken for an outlier, and leave no trace.
         """
         blocks = list(self.tracked.blocks) if self._steps or self._back else []
-        for age in range(_MIN_AGE, min(_STEP_AGE, len(blocks)) + 1):
+        for age in range(_SEARCH.youngest, min(_SEARCH.step_age, len(blocks)) + 1):
             if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
                 return age
         return 0
 
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
-        nothing, before = self.tracked.unchanged()
-        dispersion = self.track_record.dispersion
-        found: dict[Fault, _Found] = {}
-
-        def saved(cost: float, age: int) -> float:
-            """What a code for the blocks since then saves, in nats that count."""
-            return (nothing - float(before[-age - 1]) - cost) / dispersion
-
-        likely = [*self.hypotheses, *([self._back] if self._back else [])]
+        total, before = self.tracked.unchanged()
+        unchanged = _Unchanged(total, before, self.track_record.dispersion)
         blocks = list(self.tracked.blocks)
-        oldest = len(self.tracked.blocks)
-        self._courses = {key: one for key, one in self._courses.items() if key[1] >= blocks[0].first}
+        self._courses = {key: course for key, course in self._courses.items() if key[1] >= blocks[0].first}
         stretches = {age: joined(blocks[-age:]) for age in ages}
-        for age, h, level in itertools.product(ages, likely, self.tracked.levels):
-            if level > self.tracked.level and (h.ceases or h.fault not in _LESS_ACCURATE):
-                continue
-            belief, cost = self._run(h, age, level, stretches[age])
-            gain = saved(cost, age)
-            if h.fault not in found or gain > found[h.fault].gain:
-                found[h.fault] = _Found(gain, h, age, level, belief)
-        order = sorted(found.values(), key=lambda f: -f.gain)
-        if self._passed(found[Fault.DISTURBANCE]):  # then a number that has come back has not changed
-            order = [f for f in order if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)]
-        else:
-            order = [f for f in order if f.hypothesis.fault is not Fault.DISTURBANCE]
-        gain, h, age, level, belief = order[0]
-        if gain < _WORTH:
+        best_of = self._best_of_each_kind(stretches, unchanged)
+        best, *rivals = self._in_order(best_of)
+        if best.gain < _SEARCH.worth:
             self._best = None
             return None
         # The hour in which it began, when in it, and what has changed have to be said, too.
-        gain -= code_length_of(1 + self.tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
+        hour = code_length_of(1 + self.tracked.known // _SEARCH.hour)
+        gain = best.gain - (hour + math.log(_SEARCH.hour / _SEARCH.every * len(best_of)))
         if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
-            cost, late = self._lateness(age, stretches[age])
-            gain -= _COARSE * max(0.0, saved(cost, age))
-            if gain < 0.0 and age >= _ABSORBED_AFTER:
+            cost, late = self._lateness(best.age, stretches[best.age])
+            gain -= _LATE_INPUTS.coarse * max(0.0, unchanged.saved(cost, best.age))
+            if gain < 0.0 and best.age >= _LATE_INPUTS.absorbed_after:
                 self.tracked.adopt(late)
                 self._reset()
                 return None
-        # A change has an onset; one that explains as much from long before was there from the start.
-        dated = oldest
-        if oldest - age >= 2 * _EVERY:
-            early, cost = self._run(h, oldest, level, joined(blocks))
-            if saved(cost, oldest) > order[0].gain - _WORTH:
-                belief = early
-                dated = 0
-        onset = blocks[-age]
+        from_the_start = self._from_the_start(best, unchanged)
+        if from_the_start is not None:
+            best = best._replace(belief=from_the_start)
+        h = best.hypothesis
+        onset = blocks[-best.age]
         change = DetectedChange(
             hypothesis=h,
             gain=gain,
-            lead=order[0].gain - max([0.0, *(f.gain for f in order[1:])]),
+            lead=best.gain - max([0.0, *(f.gain for f in rivals)]),
             first=onset.first,
             before=float(onset.before[self.tracked.level].values[h.index]),
-            value=float(belief.values[h.index]),
-            begun=dated > 0,
-            rivals=tuple(f.hypothesis.fault for f in order[1:]),
-            gains=tuple(f.gain - (order[0].gain - gain) for f in order[1:]),
-            off=self._shift(found[Fault.SENSOR_DRIFT]),
+            value=float(best.belief.values[h.index]),
+            begun=from_the_start is None,
+            rivals=tuple(f.hypothesis.fault for f in rivals),
+            gains=tuple(f.gain - (best.gain - gain) for f in rivals),
+            off=self._shift(best_of[Fault.SENSOR_DRIFT]),
         )
-        self._best = (change, order[0]._replace(belief=belief))
+        self._best = (change, best)
         return change
+
+    def _best_of_each_kind(
+        self, stretches: Mapping[int, Readings], unchanged: _Unchanged
+    ) -> dict[Fault, _Found]:
+        """The hypothesis of each kind that saves most, at one of these ages and a level."""
+        best_of: dict[Fault, _Found] = {}
+        likely = [*self.hypotheses, *([self._back] if self._back else [])]
+        for age, h, level in itertools.product(stretches, likely, self.tracked.levels):
+            if level > self.tracked.level and (h.ceases or h.fault not in _LESS_ACCURATE):
+                continue
+            belief, cost = self._run(h, age, level, stretches[age])
+            gain = unchanged.saved(cost, age)
+            if h.fault not in best_of or gain > best_of[h.fault].gain:
+                best_of[h.fault] = _Found(gain, h, age, level, belief)
+        return best_of
+
+    def _in_order(self, best_of: Mapping[Fault, _Found]) -> list[_Found]:
+        """The kinds that count, the best first: where something has passed, no number that has come back."""
+        order = sorted(best_of.values(), key=lambda f: -f.gain)
+        if self._passed(best_of[Fault.DISTURBANCE]):
+            return [f for f in order if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)]
+        return [f for f in order if f.hypothesis.fault is not Fault.DISTURBANCE]
+
+    def _from_the_start(self, best: _Found, unchanged: _Unchanged) -> Belief | None:
+        """The belief if the change was there from the start; None if it has an onset.
+
+        A change that explains as much from long before was there from the start.
+        """
+        oldest = len(self.tracked.blocks)
+        if oldest - best.age < 2 * _SEARCH.every:
+            return None
+        belief, cost = self._run(best.hypothesis, oldest, best.level, joined(list(self.tracked.blocks)))
+        return belief if unchanged.saved(cost, oldest) > best.gain - _SEARCH.worth else None
 
     def _lateness(self, age: int, stretch: Readings) -> tuple[float, Belief]:
         """Code length of the last blocks' readings if nothing has changed, but inputs act later than the
@@ -507,19 +623,19 @@ class ChangeDetector:
         belief, cost = min(runs, key=lambda run: run[1])
         return cost + math.log(len(rivals)), belief
 
-    def _passed(self, found: _Found) -> bool:
+    def _passed(self, candidate: _Found) -> bool:
         """Whether something has pushed the output and ceased."""
-        return found.gain >= _WORTH and self._came_back(found)
+        return candidate.gain >= _SEARCH.worth and self._came_back(candidate)
 
-    def _came_back(self, found: _Found) -> bool:
+    def _came_back(self, candidate: _Found) -> bool:
         """Whether a number is nearly where it was before."""
-        h = found.hypothesis
-        return h.ceases or abs(self._shift(found)) < _CAME_BACK * h.least
+        h = candidate.hypothesis
+        return h.ceases or abs(self._shift(candidate)) < _SEARCH.came_back * h.least
 
-    def _shift(self, found: _Found) -> float:
+    def _shift(self, candidate: _Found) -> float:
         """By how much a number has changed."""
-        before = self.tracked.blocks[-found.age].before[self.tracked.level]
-        return float((found.belief.values - before.values)[found.hypothesis.index])
+        before = self.tracked.blocks[-candidate.age].before[self.tracked.level]
+        return float((candidate.belief.values - before.values)[candidate.hypothesis.index])
 
     def _run(self, h: Hypothesis, age: int, level: int, stretch: Readings) -> tuple[Belief, float]:
         """The belief after the last blocks under a hypothesis at a level, and their readings' code length."""
@@ -534,12 +650,12 @@ class ChangeDetector:
         tracker = self.tracker
         size = self.tracked.size
         if h.at_once:
-            came = stretch.output[: 2 + _EVERY * size]
+            came = stretch.output[: 2 + _SEARCH.every * size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
         if h.fault is Fault.DRIVE_LOST:
-            places = np.linspace(0, _EVERY * size, _ONSETS, endpoint=False).astype(int)
+            places = np.linspace(0, _SEARCH.every * size, _SEARCH.onsets, endpoint=False).astype(int)
             jumps = [self._jumped(h, before, stretch, int(place), level) for place in places]
-            return lambda readings: min((to(readings) for to in jumps), key=lambda one: one[1])
+            return lambda readings: min((jump(readings) for jump in jumps), key=_cost_of)
         if h.ceases:
             return self._ceased(h, before, level)
         if h.slowly:
@@ -563,10 +679,10 @@ class ChangeDetector:
 
     def _ceased(self, h: Hypothesis, before: Belief, level: int) -> _Course:
         """The same if a number changes, and is as before since the moment that explains most."""
-        at = h.index
-        step = _EVERY * self.tracked.size
-        spread = math.sqrt(before.covariance[at, at])
-        belief = before.opened(at, h.shift, h.spread)
+        number = h.index
+        step = _SEARCH.every * self.tracked.size
+        spread = math.sqrt(before.covariance[number, number])
+        belief = before.opened(number, h.shift, h.spread)
         begun = 0.0
         since: list[tuple[float, TrackedCourse]] = []  # and the code length of the readings until then
 
@@ -575,13 +691,13 @@ class ChangeDetector:
             for end in range(step * (1 + len(since)), len(readings.input), step):
                 belief, cost = self.tracker.run(belief, readings.part(end - step, end), level)
                 begun += cost
-                after = belief.closed(at).opened(at, before.values[at], spread)
+                after = belief.closed(number).opened(number, before.values[number], spread)
                 since.append((begun, TrackedCourse(self.tracker, after, level)))
-            found = []
+            explanations = []
             for end, (until, course) in zip(itertools.count(step, step), since, strict=False):
-                after, rest = course.to(readings.part(end, len(readings.input)))
-                found.append((after, until + rest + h.price))
-            return min(found, key=lambda one: one[1], default=(before, math.inf))
+                after, cost_since = course.to(readings.part(end, len(readings.input)))
+                explanations.append((after, until + cost_since + h.price))
+            return min(explanations, key=_cost_of, default=(before, math.inf))
 
         return to
 
@@ -594,8 +710,8 @@ class ChangeDetector:
         course = TrackedCourse(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
 
         def to(readings: Readings) -> tuple[Belief, float]:
-            after, rest = course.to(readings.part(place, len(readings.input)))
-            return after, begun + rest + h.price
+            after, cost_since = course.to(readings.part(place, len(readings.input)))
+            return after, begun + cost_since + h.price
 
         return to
 
@@ -606,8 +722,8 @@ def code_length_of(number: int) -> float:
     Rissanen's universal prior (Annals of Statistics 11, 1983), whose probabilities add up to 1.
     """
     bits = math.log2(_UNIVERSAL)
-    rest = math.log2(max(number, 1))
-    while rest > 0.0:
-        bits = bits + rest
-        rest = math.log2(rest)
+    logarithm = math.log2(max(number, 1))
+    while logarithm > 0.0:
+        bits = bits + logarithm
+        logarithm = math.log2(logarithm)
     return bits * math.log(2.0)

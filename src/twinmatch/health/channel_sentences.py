@@ -35,9 +35,9 @@ class ChannelSentences:
         return TRAITS[cause[0]].suspect.format(name=declared.text or name)
 
     def said(
-        self, fault: Fault, best: Suspect, left: float, rivals: tuple[str, ...]
+        self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]
     ) -> tuple[str, float, str]:
-        """Name of the signal, size of the change, and a sentence; `left` is the share of a drive's effect."""
+        """Name of the signal, size of the change, and a sentence; `share` of a drive's effect is left."""
         name, declared = self._declared(best.cause)
         size = math.nan
         text = ""
@@ -46,8 +46,8 @@ class ChannelSentences:
             size = math.exp(best.shift)
             text = f"{size:.2g} times"
         elif fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
-            size = left
-            text = f"{left:.0%}"
+            size = share
+            text = f"{share:.0%}"
         elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
             size = best.shift
             text = f"{signed(best.shift)} {unit}".rstrip()

@@ -28,31 +28,54 @@ from twinmatch.health.reading_through import ReadThrough
 from twinmatch.signals import Sample
 
 CHANGE: Final = 3.0
-"""Evidence from which a change is reported, nats …"""
+"""Evidence from which a change is reported, nats."""
 LEAD: Final = 4.0
-"""… and by how much it must lead every other cause to be named."""
-_HOLDS: Final = 3
-"""Samples in a row in which it leads."""
-_UNNAMED: Final = 60.0
-"""Time to wait for a name before an unnamed change is reported, s."""
-_START: Final = 30.0
-"""Time after a gap in which nothing is reported, s."""
-_YOUNG: Final = 120.0
-"""Time after the first sample in which only a lost drive is named, s …"""
-_LEARNED: Final = 1200.0
-"""… and from which on the plant's parameters are known well enough to say that they have changed."""
+"""By how much the evidence of a cause must lead every other cause to be named."""
+
+
+@dataclass(frozen=True)
+class _Naming:
+    """When a change is named, and when an unnamed one is reported."""
+
+    holds: int = 3
+    """Samples in a row in which it leads."""
+    unnamed: float = 60.0
+    """Time to wait for a name before an unnamed change is reported, s."""
+    start: float = 30.0
+    """Time after a gap in which nothing is reported, s."""
+    young: float = 120.0
+    """Time after the first sample in which only a lost drive is named, s."""
+    learned: float = 1200.0
+    """Time after the first sample from which on the plant's parameters are known well enough to say that
+    they have changed, s."""
+    sized: float = 30.0
+    """Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
+    confirm: int = 3
+    """Samples in a row with a reading that the sensor cannot give."""
+
+
+_NAMING: Final = _Naming()
+
+
 _LEARNED_FIRST: Final = frozenset(f for f, traits in TRAITS.items() if traits.another_plant) | {Fault.DRIFT}
 """Faults that may be parameters that are not known yet."""
-_SIZED: Final = 30.0
-"""Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
-_PASSED: Final = 15.0
-"""Time for which a push that has passed is shown, s."""
-_LEFT: Final = 0.4
-"""Share of a change that may remain when it counts as over."""
-_FADED: Final = 0.3
-"""Share of a push from which on it has passed."""
-_CONFIRM: Final = 3
-"""Samples in a row with a reading that the sensor cannot give."""
+
+
+@dataclass(frozen=True)
+class _Ending:
+    """When a change counts as over."""
+
+    passed: float = 15.0
+    """Time for which a push that has passed is shown, s."""
+    remainder: float = 0.4
+    """Share of a change that may remain when it counts as over."""
+    faded: float = 0.3
+    """Share of a push from which on it has passed."""
+
+
+_ENDING: Final = _Ending()
+
+
 _BY_ITSELF: Final = (Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE)
 """Faults that a sensor's own readings show."""
 _WIDE: Final = 10.0
@@ -119,7 +142,9 @@ class ChannelMonitor:
         self._push(sample)
         through = {} if self._blind else self.competition.through
         self.estimates = tuple(
-            self._estimate(i, one, sample) for i, one in through.items() if one.samples > one.rehearsed
+            self._estimate(i, estimator, sample)
+            for i, estimator in through.items()
+            if estimator.samples > estimator.rehearsed
         )
         newest = self._alarms[-1] if self._alarms else None
         on = self.on
@@ -139,19 +164,19 @@ class ChannelMonitor:
     def _read_through(self, output: int, since: int) -> None:
         self.competition.read_through(output, since)
         if self._blind:
-            said = f"{self._alarms[-1].reason}; no sensor is right, so none can be read through"
-            self._alarms[-1] = replace(self._alarms[-1], reason=said)
+            reason = f"{self._alarms[-1].reason}; no sensor is right, so none can be read through"
+            self._alarms[-1] = replace(self._alarms[-1], reason=reason)
 
-    def _estimate(self, output: int, one: ReadThrough, sample: Sample) -> EstimatedReading:
+    def _estimate(self, output: int, estimator: ReadThrough, sample: Sample) -> EstimatedReading:
         name, declared = self._outputs[output]
         wide = _WIDE * declared.noise
-        if one.good is None:
+        if estimator.good is None:
             period = self.competition.healthy.period
-            one.good = period * one.lasts(wide, round(HOUR / period))
-        value, band = one.estimate
+            estimator.good = period * estimator.lasts(wide, round(HOUR / period))
+        value, band = estimator.estimate
         reading = (sample.refused or sample.outputs)[output]
-        since = sample.index - (one.samples - one.rehearsed) + 1
-        return EstimatedReading(sample.index, name, value, band, reading, since, wide, one.good)
+        since = sample.index - (estimator.samples - estimator.rehearsed) + 1
+        return EstimatedReading(sample.index, name, value, band, reading, since, wide, estimator.good)
 
     def _push(self, sample: Sample) -> None:
         if sample.index != self._index + 1:
@@ -161,13 +186,13 @@ class ChannelMonitor:
         self._index = sample.index
         read = np.array(sample.refused or sample.outputs)
         possible = np.isfinite(read) & (read >= self._spans[:, 0]) & (read <= self._spans[:, 1])
-        seen = possible & sample.seen & (not sample.refused)
+        counts = possible & sample.seen & (not sample.refused)
         self._values = np.where(possible, read, self._values)
-        self.competition.push(sample, self._values, seen)
+        self.competition.push(sample, self._values, counts)
         self._impossible = np.where(possible, 0, self._impossible + 1)
-        for output in np.flatnonzero(self._impossible == _CONFIRM).tolist():
+        for output in np.flatnonzero(self._impossible == _NAMING.confirm).tolist():
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
-            best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _CONFIRM, -1)
+            best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _NAMING.confirm, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             self._read_through(output, 0)  # no filter has taken such readings: the newest is best
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
@@ -179,8 +204,8 @@ class ChannelMonitor:
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
         on = self.on
-        now = on is not None and on.fault in _BY_ITSELF and on.found[0].cause[1] == output
-        return now or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
+        by_alarm = on is not None and on.fault in _BY_ITSELF and on.found[0].cause[1] == output
+        return by_alarm or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
 
     def _lost_or_weak(self, f: Suspect) -> Suspect:
         """A drive of which nearly nothing is left is lost, whatever it was taken for."""
@@ -196,54 +221,58 @@ class ChannelMonitor:
 
     def _counts(self, f: Suspect) -> bool:
         """A push explains anything while it lasts; so it counts once it has passed."""
-        return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _FADED
+        return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _ENDING.faded
 
-    def _judge(self, found: list[Suspect]) -> None:
+    def _judge(self, suspects: list[Suspect]) -> None:
         competition = self.competition
         on = self.on
-        if on is not None and self._over(on, found):
+        if on is not None and self._over(on, suspects):
             self._close()
-        if not found or found[0].evidence < CHANGE or competition.count < _START * competition.second:
+        if (
+            not suspects
+            or suspects[0].evidence < CHANGE
+            or competition.count < _NAMING.start * competition.second
+        ):
             self._leads = (None, 0)
             self._unnamed = 0
             return
-        named = [f for f in found if f.cause[0] is not Fault.DRIFT]
-        if named and named[0].evidence > found[0].evidence - LEAD:
-            found = named  # the unknown, which may act as anything does, counts only far ahead
-        best = found[0]
-        rivals = [f.evidence for f in found[1:] if self._rivals(f, best)]
+        named = [f for f in suspects if f.cause[0] is not Fault.DRIFT]
+        if named and named[0].evidence > suspects[0].evidence - LEAD:
+            suspects = named  # the unknown, which may act as anything does, counts only far ahead
+        best = suspects[0]
+        rivals = [f.evidence for f in suspects[1:] if self._rivals(f, best)]
         leads = best.evidence - max([0.0, *rivals]) >= LEAD
         self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
-        if self._leads[1] < _HOLDS:
+        if self._leads[1] < _NAMING.holds:
             return
         if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._known(best)):
-            self._name(best, found)
+            self._name(best, suspects)
         elif not leads:
             self._unnamed += 1
-            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _UNNAMED * competition.second
-            if enough and self.on is None and competition.known >= _LEARNED:
-                self._raise(Fault.DRIFT, best, found)
+            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _NAMING.unnamed * competition.second
+            if enough and self.on is None and competition.known >= _NAMING.learned:
+                self._raise(Fault.DRIFT, best, suspects)
 
-    def _over(self, on: ChannelAlarm, found: list[Suspect]) -> bool:
+    def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
         if on.fault is Fault.SENSOR_FROZEN:
             return self.competition.sensors[on.found[0].cause[1]].repeats == 0
         if on.fault is Fault.SENSOR_IMPLAUSIBLE:
             return not self._impossible[on.found[0].cause[1]]
         if on.fault is Fault.DISTURBANCE:
-            return self._index - on.flagged > _PASSED * self.competition.second
-        return on.fault is Fault.DRIFT and (not found or found[0].evidence < 0.0)
+            return self._index - on.flagged > _ENDING.passed * self.competition.second
+        return on.fault is Fault.DRIFT and (not suspects or suspects[0].evidence < 0.0)
 
     def _known(self, best: Suspect) -> bool:
         """Whether a change that leads is to be named; if not, it is learned in silence."""
         age = (self.competition.count - best.born) / self.competition.second
-        if best.cause[0] is Fault.DRIVE_WEAK and age < _SIZED:
+        if best.cause[0] is Fault.DRIVE_WEAK and age < _NAMING.sized:
             return False
         back = next((s for s in self._standing if self._undoes(best, s)), None)
         if back is not None:
             self._standing.remove(back)
             if self.on is not None and self.on.fault is back[0]:
                 self._close()
-        wait = _LEARNED if best.cause[0] in _LEARNED_FIRST else _YOUNG
+        wait = _NAMING.learned if best.cause[0] in _LEARNED_FIRST else _NAMING.young
         young = self.competition.known < wait and best.cause[0] is not Fault.DRIVE_LOST
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
@@ -263,21 +292,21 @@ class ChannelMonitor:
     @staticmethod
     def _undoes(f: Suspect, standing: tuple[Fault, ChangeRow, float]) -> bool:
         _, row, shift = standing
-        left = abs(shift + f.shift)
-        return row.number == f.row.number and left <= max(_LEFT * abs(shift), f.row.least)
+        remaining = abs(shift + f.shift)
+        return row.number == f.row.number and remaining <= max(_ENDING.remainder * abs(shift), f.row.least)
 
-    def _name(self, best: Suspect, found: list[Suspect]) -> None:
+    def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
-                self._raise(fault, best, found)
+                self._raise(fault, best, suspects)
                 self._read_through(signal, best.born)
             return
         if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
             return  # what does more than before has no name
         on = self.on
         if on is None or (on.fault, on.found[0].cause[1]) != (fault, signal):
-            self._raise(fault, best, found)
+            self._raise(fault, best, suspects)
         if fault is not Fault.DISTURBANCE:
             self._standing.append((fault, best.row, best.shift))
         self._adopt(best)
@@ -289,24 +318,34 @@ class ChannelMonitor:
         self.competition.adopt(best)
         self._leads = (None, 0)
         self._unnamed = 0
-        self.competition.expect_back([
-            replace(row, shift=-size, spread=0.2 * abs(size), lasting=0.0, slowly=0.0, price=-2.0)
-            for _, row, size in self._standing
-        ])  # fmt: skip
+        self.competition.expect_back(
+            [
+                replace(row, shift=-size, spread=0.2 * abs(size), lasting=0.0, slowly=0.0, price=-2.0)
+                for _, row, size in self._standing
+            ]
+        )
 
-    def _raise(self, fault: Fault, best: Suspect, found: list[Suspect]) -> None:
+    def _raise(self, fault: Fault, best: Suspect, suspects: list[Suspect]) -> None:
         if self.on is not None:
             self._close()
         first = min(self._begin + best.born, self._index)
-        near = [f for f in found if f.evidence > max(0.0, best.evidence - LEAD)]
+        near = [f for f in suspects if f.evidence > max(0.0, best.evidence - LEAD)]
         rivals = tuple(dict.fromkeys(self.sentences.called(f.cause) for f in near))
         signal, size, reason = self.sentences.said(fault, best, self._left(best), rivals)
         self._alarms.append(
             ChannelAlarm(
-                fault, first, self._index, None, reason, fault not in SLOW, signal,
-                size=size, rivals=rivals if fault is Fault.DRIFT else (), found=tuple(found),
+                fault,
+                first,
+                self._index,
+                None,
+                reason,
+                fault not in SLOW,
+                signal,
+                size=size,
+                rivals=rivals if fault is Fault.DRIFT else (),
+                found=tuple(suspects),
             )
-        )  # fmt: skip
+        )
 
     def _left(self, f: Suspect) -> float:
         """What is left of a drive's effect, as a share; 1 for anything else."""

@@ -6,14 +6,27 @@ in a plant that is healthy. So every judge keeps a record of them over the same 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-_MIN_MOVED: Final = 20.0
-"""Least root of the sum of squared movements, in noises of a reading, …"""
-_MAX_SHARE: Final = 0.5
-"""… and greatest share of it by which the forecasts may have been off …"""
-_MAX_MISSING: Final = 0.35
-"""… if a missing effect is to be told from it: 0.6 of an effect are missing when it is lost."""
+
+@dataclass(frozen=True)
+class _Earning:
+    """How well forecasts must have come true before a missing effect is told from their error.
+
+    0.6 of an effect are missing when it is lost.
+    """
+
+    moved: float = 20.0
+    """Least root of the sum of squared movements, in noises of a reading."""
+    most: float = 0.5
+    """Greatest share of it by which the forecasts may have been off."""
+    most_missing: float = 0.35
+    """Greatest share of it by which they may have been off if a missing effect is to be told from it."""
+
+
+_EARNING: Final = _Earning()
+
 
 NOTHING: Final = 0.1
 """Greatest share of an expected effect that counts as nothing. This a newcomer may say, too, over the longest
@@ -28,18 +41,18 @@ class Record(NamedTuple):
     moved: float = 0.0
     """Of how far the output moved: the error of saying that nothing changes."""
 
-    def after(self, error: float, moved: float, kept: float = 1.0) -> Record:
-        """The record with one more forecast; `kept` is the factor on past sums."""
-        return Record(kept * self.error + error**2, kept * self.moved + moved**2)
+    def after(self, error: float, moved: float, factor: float = 1.0) -> Record:
+        """The record with one more forecast; `factor` is that on past sums."""
+        return Record(factor * self.error + error**2, factor * self.moved + moved**2)
 
     def earned(self, noise: float) -> bool:
         """Whether these forecasts are a reason to believe the next; `noise` of a reading (1 σ)."""
-        return self._off_by(_MAX_SHARE, noise)
+        return self._off_by(_EARNING.most, noise)
 
     def sees_drive(self, noise: float) -> bool:
         """Whether they were so near that the missing effect of a drive would show."""
-        return self._off_by(_MAX_MISSING, noise)
+        return self._off_by(_EARNING.most_missing, noise)
 
     def _off_by(self, share: float, noise: float) -> bool:
         """Whether they were off by at most a share of considerable movements."""
-        return self.moved >= (_MIN_MOVED * noise) ** 2 and self.error <= share**2 * self.moved
+        return self.moved >= (_EARNING.moved * noise) ** 2 and self.error <= share**2 * self.moved

@@ -23,16 +23,27 @@ from twinmatch.signals import BoolArray, FloatArray, Sample
 
 EVERY: Final = 2.0
 """Time between two onsets, s."""
-_SLOTS: Final = 6
-"""Onsets of every change that are followed in each level."""
-_REACH: Final = 480.0
-"""Age after which an onset is forgotten, s."""
+
+
+@dataclass(frozen=True)
+class _Following:
+    """Which onsets are followed, and from when on sensors are read through."""
+
+    slots: int = 6
+    """Onsets of every change that are followed in each level."""
+    reach: float = 480.0
+    """Age after which an onset is forgotten, s."""
+    rehearsed: float = 300.0
+    """Time from which on the plant is known well enough to read through a sensor, s."""
+    known_well: float = 900.0
+    """Time from which on a rehearsal shows what later estimates are worth, s: what begins before is off
+    by 1.5 to 2.5 °C on a kit whose later rehearsals are off by 0.1 to 0.4 °C."""
+
+
+_FOLLOWING: Final = _Following()
+
+
 _HOUR: Final = 3600.0
-_REHEARSED: Final = 300.0
-"""Time from which on the plant is known well enough to read through a sensor, s."""
-_KNOWN_WELL: Final = 900.0
-"""Time from which on a rehearsal shows what later estimates are worth, s: what begins before is off by 1.5 to
-2.5 °C on a kit whose later rehearsals are off by 0.1 to 0.4 °C."""
 _COUNTS: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _INTERESTING: Final = -6.0
@@ -48,9 +59,9 @@ class Suspect:
     """Nats beyond its price."""
     row: ChangeRow
     shift: float
-    """Believed size of the change, in the number's unit …"""
+    """Believed size of the change, in the number's unit."""
     error: float
-    """… and its standard deviation."""
+    """Standard deviation of that size."""
     born: int
     """Samples since the last gap when it began."""
     hypothesis: int
@@ -97,79 +108,110 @@ class Competition:
 
     def expect_back(self, back: list[ChangeRow]) -> None:
         """Make the table of changes, with what may be undone, and room for their traces."""
-        self.rows = rows = [*self._usual, *back]
+        self.rows = [*self._usual, *back]
         healthy = self.healthy
-        self._traces = unborn(healthy.levels * len(rows) * _SLOTS, len(healthy.numbers))
-        self._causes = list(dict.fromkeys(row.cause for row in rows))
-        each = {cause: sum(math.exp(-r.price) for r in rows if r.cause == cause) for cause in self._causes}
-        once = len(self._causes) * _HOUR / EVERY
-        spread = np.array([row.spread for row in rows])
-        period = healthy.period
-        scale = healthy.scale
-        lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
-        self.table = ChangeRows(
-            number=np.array([healthy.numbers[row.number] for row in rows], dtype=np.int64),
-            cause=np.array([self._causes.index(row.cause) for row in rows], dtype=np.int64),
-            rate=np.array([period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]),
-            wanders=np.array([row.wanders for row in rows]) ** 2 * 2.0 * period / (30.0 * scale),
-            diffusion=np.where(lasting > 0, 0.5 * spread**2 / np.maximum(lasting, 1), 0.0),
-            lasting=lasting,
-            shift=np.array([row.shift for row in rows]),
-            spread=np.where(lasting > 0, math.sqrt(0.5), 1.0) * spread,
-            mass=np.array([math.exp(-row.price) / each[row.cause] / once for row in rows]),
-            whole=np.array([row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]),
-        )
+        self._traces = unborn(healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers))
+        self._causes = list(dict.fromkeys(row.cause for row in self.rows))
+        self.table = self._table_of(self.rows)
         self._totals = np.full(len(self._causes), -np.inf)
         self._likeliest = np.zeros(len(self._causes), dtype=np.int64)
 
-    def push(self, sample: Sample, values: FloatArray, seen: BoolArray) -> None:
+    def _table_of(self, rows: list[ChangeRow]) -> ChangeRows:
+        """The changes as the bank of hypotheses takes them."""
+        healthy = self.healthy
+        period = healthy.period
+        scale = healthy.scale
+        numbers = [healthy.numbers[row.number] for row in rows]
+        causes = [self._causes.index(row.cause) for row in rows]
+        rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
+        lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
+        comes_at_once = lasting <= 0
+        wanders = np.array([row.wanders for row in rows])
+        spread = np.array([row.spread for row in rows])
+        return ChangeRows(
+            number=np.array(numbers, dtype=np.int64),
+            cause=np.array(causes, dtype=np.int64),
+            rate=np.array(rates),
+            wanders=wanders**2 * 2.0 * period / (30.0 * scale),
+            diffusion=np.where(comes_at_once, 0.0, 0.5 * spread**2 / np.maximum(lasting, 1)),
+            lasting=lasting,
+            shift=np.array([row.shift for row in rows]),
+            spread=np.where(comes_at_once, 1.0, math.sqrt(0.5)) * spread,
+            mass=np.array(self._masses(rows)),
+            whole=np.array([row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]),
+        )
+
+    def _masses(self, rows: list[ChangeRow]) -> list[float]:
+        """Prior probabilities that a row begins now: in an hour one cause does, in one of its rows."""
+        onsets = len(self._causes) * _HOUR / EVERY
+        weights = {cause: self._weight_of(cause) for cause in self._causes}
+        return [math.exp(-row.price) / weights[row.cause] / onsets for row in rows]
+
+    def _weight_of(self, cause: Named) -> float:
+        """Sum of the weights of a cause's rows, which share its probability."""
+        return sum(math.exp(-row.price) for row in self.rows if row.cause == cause)
+
+    def push(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
         healthy = self.healthy
-        sensors = self.sensors
         table = self.table
         traces = self._traces
-        reach = round(_REACH * self.second)
+        reach = round(_FOLLOWING.reach * self.second)
         if self.count and self.count % max(1, round(EVERY * self.second)) == 0:
-            if not self._suspected and healthy.choose_way():
-                self._clear()
-            weights = healthy.log_weights[: healthy.levels].copy()
-            weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
-            spawn(traces, table, healthy.members.at, weights, _COUNTS, reach, self.count)
+            self._begin_traces(reach)
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
         healthy.open(values, u, row)
-        readings = list(zip(sensors, values.tolist(), seen.tolist(), strict=True))
-        for sensor, value, counts in readings:
-            sensor.read(value, counts)
-        learned = [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
-        repeated, noise, digit, pause, variance = np.array(list(zip(*learned, strict=True)))
-        given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
-        code = self._model.kernels.code
+        readings = list(zip(self.sensors, values.tolist(), counts.tolist(), strict=True))
+        for sensor, value, it_counts in readings:
+            sensor.read(value, it_counts)
+        reading, variance = self._reading(values, counts, healthy.acting(u), row)
         levels = healthy.levels
-        step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
-        self._rehearse(given, variance)
+        code = self._model.kernels.code
+        step(code, healthy.fixed, healthy.members, traces, table, levels, reading, self.count)
+        self._rehearse(reading, variance)
         if self.through:
-            given = given._replace(seen=seen & ~np.isin(np.arange(seen.size), list(self.through)))
-            for output, one in self.through.items():
-                one.push(given, variance[output])
+            is_lying = np.isin(np.arange(counts.size), list(self.through))
+            reading = reading._replace(seen=counts & ~is_lying)
+            for output, estimator in self.through.items():
+                estimator.push(reading, variance[output])
         gained = healthy.members.gained[healthy.best].tolist()
-        total = healthy.weigh(
-            sum(one.walked(y, on, g) for (one, y, on), g in zip(readings, gained, strict=True))
-        )
+        without_equations = [
+            sensor.walked(value, it_counts, nats)
+            for (sensor, value, it_counts), nats in zip(readings, gained, strict=True)
+        ]
+        total = healthy.weigh(sum(without_equations))
         tally(traces, table, levels, total, healthy.doubts, self.count, self._totals, self._likeliest)
-        healthy.score_forecasts(self.count, values, seen, variance, reach)
+        healthy.score_forecasts(self.count, values, counts, variance, reach)
         gained = healthy.members.gained[healthy.best].tolist()
-        for (sensor, value, counts), nats in zip(readings, gained, strict=True):
-            sensor.learn(value, counts, nats)
+        for (sensor, value, it_counts), nats in zip(readings, gained, strict=True):
+            sensor.learn(value, it_counts, nats)
         self.count += 1
         healthy.known += 1
 
-    def _rehearse(self, given: Reading, variance: FloatArray) -> None:
+    def _reading(
+        self, values: FloatArray, counts: BoolArray, inputs: FloatArray, row: FloatArray
+    ) -> tuple[Reading, FloatArray]:
+        """Readings with what is known of their sensors, and the variances of their noise."""
+        learned = [(s.repeated, s.noise, s.step, s.pause, s.variance) for s in self.sensors]
+        repeated, noise, digit, pause, variance = np.array(list(zip(*learned, strict=True)))
+        return Reading(values, counts, repeated, noise, digit, pause, inputs, row), variance
+
+    def _begin_traces(self, reach: int) -> None:
+        """Follow changes that begin now, and forget those that began `reach` samples ago."""
+        healthy = self.healthy
+        if not self._suspected and healthy.choose_way():
+            self._clear()
+        weights = healthy.log_weights[: healthy.levels].copy()
+        weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
+        spawn(self._traces, self.table, healthy.members.at, weights, _COUNTS, reach, self.count)
+
+    def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
         for output, rehearsal in enumerate(self._rehearsals):
-            if rehearsal.on is None and self.known >= _REHEARSED and not self.through:
-                rehearsal.begin(self._without(output, 0), early=self.known < _KNOWN_WELL)
-            rehearsal.push(given, float(variance[output]), output)
+            if rehearsal.on is None and self.known >= _FOLLOWING.rehearsed and not self.through:
+                rehearsal.begin(self._without(output, 0), early=self.known < _FOLLOWING.known_well)
+            rehearsal.push(reading, float(variance[output]), output)
 
     def _without(self, output: int, since: int) -> ReadThrough:
         healthy = self.healthy
@@ -185,7 +227,7 @@ class Competition:
         suspects = []
         for c in np.flatnonzero(self._totals >= _INTERESTING + dear):
             t = int(self._likeliest[c])
-            row = self.rows[t // _SLOTS % len(self.rows)]
+            row = self.rows[t // _FOLLOWING.slots % len(self.rows)]
             born = int(self._traces.born[t])
             slowly = row.slowly * healthy.scale
             share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
@@ -199,7 +241,7 @@ class Competition:
                 row = ChangeRow((Fault.SENSOR_FROZEN, i), "")
                 born = self.count - sensor.repeats
                 suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
-        suspects.sort(key=lambda one: -one.evidence)
+        suspects.sort(key=lambda suspect: -suspect.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
         return suspects
 
@@ -213,11 +255,11 @@ class Competition:
         """Estimate an output without its sensor from now on, which has lied `since` so many samples after the
         last gap: by the estimate that was rehearsed then, if there is one."""
         if output not in self.through:
-            known = self._rehearsals[output].on
-            if known is None or known.samples <= self.count - since:
-                known = self._without(output, since)
-            known.rehearsed = known.samples
-            self.through[output] = known
+            estimator = self._rehearsals[output].on
+            if estimator is None or estimator.samples <= self.count - since:
+                estimator = self._without(output, since)
+            estimator.rehearsed = estimator.samples
+            self.through[output] = estimator
             for rehearsal in self._rehearsals:  # those of the others take its readings
                 rehearsal.drop()
 
@@ -236,24 +278,24 @@ class Competition:
         """The believed value of one of the numbers."""
         return float(self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]])
 
-    def remains(self, one: Suspect) -> float:
+    def remains(self, suspect: Suspect) -> float:
         """Share of a jump of the number that has not faded."""
-        return float(self._traces.trace[one.hypothesis, self.healthy.numbers[one.row.number]])
+        return float(self._traces.trace[suspect.hypothesis, self.healthy.numbers[suspect.row.number]])
 
-    def adopt(self, one: Suspect) -> None:
+    def adopt(self, suspect: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
         began then."""
         traces = self._traces
         members = self.healthy.members
-        row = one.hypothesis // _SLOTS % len(self.rows)
+        row = suspect.hypothesis // _FOLLOWING.slots % len(self.rows)
         for b in range(self.healthy.healthy):
-            begin = (b * len(self.rows) + row) * _SLOTS
-            own = range(begin, begin + _SLOTS) if b < self.healthy.levels else ()
-            t = next((t for t in own if traces.born[t] == one.born), one.hypothesis)
+            begin = (b * len(self.rows) + row) * _FOLLOWING.slots
+            traces_of_row = range(begin, begin + _FOLLOWING.slots) if b < self.healthy.levels else ()
+            t = next((t for t in traces_of_row if traces.born[t] == suspect.born), suspect.hypothesis)
             members.at[b] += traces.trace[t] * traces.mean[t]
             members.covariance[b] += np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
         self._clear()
         self.healthy.forget_newest()
         for output, rehearsal in enumerate(self._rehearsals):
-            if one.cause != (Fault.SENSOR_DRIFT, output):  # it asks that sensor nothing
+            if suspect.cause != (Fault.SENSOR_DRIFT, output):  # it asks that sensor nothing
                 rehearsal.drop()

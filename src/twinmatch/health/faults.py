@@ -237,9 +237,9 @@ class EstimatedReading:
     since: int
     """First sample at which it is read through."""
     wide: float
-    """Half width up to which the estimate counts as good …"""
+    """Half width up to which the estimate counts as good."""
     good: float
-    """… and for how long from the first sample on it was to be that, s; at most an hour is looked ahead."""
+    """For how long from the first sample on it was to be good, s; at most an hour is looked ahead."""
 
 
 _SUDDEN: Final = frozenset(
@@ -336,12 +336,13 @@ class FaultSentences:
         """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
         moved = signed(effect.expected)
         shown = signed(effect.share * effect.expected)
-        other = ", or the plant loses far more than before" if lagged else ""
+        alternative = ", or the plant loses far more than before" if lagged else ""
         where = f", and at {self.surroundings}" if lagged else ""
         reason = (
             f"the drive should have moved {self.output} by {moved}{self.unit} in "
             f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: the drive is "
-            f"lost, or {self.sensor} does not see it{other}; look at drive, wires, supply and sensor{where}"
+            f"lost, or {self.sensor} does not see it{alternative}; look at drive, wires, supply and "
+            f"sensor{where}"
         )
         return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 

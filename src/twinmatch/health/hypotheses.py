@@ -3,6 +3,7 @@ role, and way to begin."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,9 +28,9 @@ class ChangeRow:
     number: str
     """A parameter; or share, push, offset or fading, with the place of its drive or output."""
     shift: float = 0.0
-    """Expected size, of a logarithm relative to the number …"""
+    """Expected size, of a logarithm relative to the number."""
     spread: float = 0.0
-    """… and its standard deviation."""
+    """Standard deviation of the size."""
     least: float = 0.0
     """Smaller ones are not reported."""
     slowly: float = 0.0
@@ -44,33 +45,54 @@ class ChangeRow:
 
 def rows_of(model: Model) -> list[ChangeRow]:
     """All of one plant."""
-    found: list[ChangeRow] = []
+    rows: list[ChangeRow] = []
     for place, name in enumerate(model.structure.free):
         declared = model.declared[name]
         if declared.role == "losses":
-            cause = Fault.LOSSES_CHANGED, place
-            found += [ChangeRow(cause, name, *size, 0.4) for size in ((2.0, 2.0), (-0.7, 0.2))]
+            rows += _rows_of_losses(place, name)
         elif declared.role == "room":
-            cause = (Fault.ROOM_CHANGED, place)
-            spread = 0.8 * declared.scale
-            least = 0.3 * declared.scale
-            found.append(ChangeRow(cause, name, 0.0, spread, least))
-            found.append(ChangeRow(cause, name, 0.0, spread, least, 1800.0, price=RARE))
+            rows += _rows_of_room(place, name, declared.scale)
     for j, drive in enumerate(model.plant.drives.values()):
-        cause = (Fault.DRIVE_WEAK, j)
-        share = f"share {j}"
-        push = 0.15 * (drive.limits[1] - drive.limits[0])
-        found.append(ChangeRow((Fault.DRIVE_LOST, j), share, -1.0, 0.03, 0.5, wanders=0.05))
-        found += [ChangeRow(cause, share, shift, 0.2, 0.1) for shift in (-0.35, 0.3)]
-        found.append(ChangeRow(cause, share, 0.0, 0.3, 0.1, 300.0, price=RARE))
-        found.append(ChangeRow((Fault.DRIFT, j), f"push {j}", 0.0, push, 0.1 * push, price=UNKNOWN))
+        rows += _rows_of_drive(j, drive.limits[1] - drive.limits[0])
     for i, output in enumerate(model.plant.outputs.values()):
-        cause = (Fault.SENSOR_DRIFT, i)
-        offset = f"offset {i}"
-        noise = output.noise
-        found.append(ChangeRow(cause, offset, 0.0, 30.0 * noise, 8.0 * noise, wanders=0.1))
-        found.append(ChangeRow(cause, offset, 0.0, 30.0 * noise, 8.0 * noise, 300.0, price=RARE))
-        cause = Fault.DISTURBANCE, i
-        for sizes in ((0.0, 3.0 * noise, 0.5 * noise), (0.0, 12.0 * noise, 0.5 * noise)):
-            found.append(ChangeRow(cause, f"fading {i}", *sizes, lasting=30.0))
-    return found
+        rows += _rows_of_sensor(i, output.noise)
+    return rows
+
+
+def _rows_of_losses(place: int, name: str) -> Iterator[ChangeRow]:
+    """They have become much larger, or half as large: shift and spread of their logarithm."""
+    for shift, spread in ((2.0, 2.0), (-0.7, 0.2)):
+        yield ChangeRow((Fault.LOSSES_CHANGED, place), name, shift, spread, 0.4)
+
+
+def _rows_of_room(place: int, name: str, scale: float) -> Iterator[ChangeRow]:
+    """It has changed at once, or evenly over half an hour."""
+    cause = (Fault.ROOM_CHANGED, place)
+    spread = 0.8 * scale
+    least = 0.3 * scale
+    yield ChangeRow(cause, name, 0.0, spread, least)
+    yield ChangeRow(cause, name, 0.0, spread, least, 1800.0, price=RARE)
+
+
+def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
+    """The j-th drive is lost, does less or more, at once or slowly; or something else acts as it does.
+
+    `reach` is the width of its range.
+    """
+    share = f"share {j}"
+    yield ChangeRow((Fault.DRIVE_LOST, j), share, -1.0, 0.03, 0.5, wanders=0.05)
+    for shift in (-0.35, 0.3):
+        yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift, 0.2, 0.1)
+    yield ChangeRow((Fault.DRIVE_WEAK, j), share, 0.0, 0.3, 0.1, 300.0, price=RARE)
+    push = 0.15 * reach
+    yield ChangeRow((Fault.DRIFT, j), f"push {j}", 0.0, push, 0.1 * push, price=UNKNOWN)
+
+
+def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
+    """The i-th reading has shifted, at once or slowly; or something that passes has moved its output."""
+    drift = (Fault.SENSOR_DRIFT, i)
+    offset = f"offset {i}"
+    yield ChangeRow(drift, offset, 0.0, 30.0 * noise, 8.0 * noise, wanders=0.1)
+    yield ChangeRow(drift, offset, 0.0, 30.0 * noise, 8.0 * noise, 300.0, price=RARE)
+    for spread in (3.0 * noise, 12.0 * noise):
+        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", 0.0, spread, 0.5 * noise, lasting=30.0)

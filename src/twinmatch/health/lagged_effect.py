@@ -35,19 +35,30 @@ _MEMORY: Final = (300.0, 600.0)
 """Number of stretches over which the variance at rest and that of the share are averaged."""
 _FIRST: Final = (10.0, 100.0)
 """Number of stretches for which the assumed ones count: a hundred that overlap are a few movements."""
-_CLIP: Final = 3.0
-"""Errors are clipped to so many times the usual one, so that a fault does not pass as usual."""
-_FIRST_ERROR: Final = 3.0
-"""Assumed error at rest before anything is learned, in standard deviations of a reading's noise …"""
-_FIRST_SHARE: Final = 0.3
-"""… and share of the movement by which equations with typical parameters are usually wrong."""
+
+
+@dataclass(frozen=True)
+class _ErrorRule:
+    """What is assumed of the errors of the equations over a stretch."""
+
+    clip: float = 3.0
+    """Errors are clipped to so many times the usual one, so that a fault does not pass as usual."""
+    at_rest: float = 3.0
+    """Assumed error at rest before anything is learned, in standard deviations of a reading's noise."""
+    share: float = 0.3
+    """Share of the movement by which equations with typical parameters are usually wrong."""
+    least_share: float = 0.15
+    """The share is never trusted to be smaller: other movements may show other errors."""
+    moving_share: float = 0.2
+    """The share counts as no larger while the drive moves the plant: one that is lost is then missing by
+    as much as it moves."""
+
+
+_ERRORS: Final = _ErrorRule()
+
+
 _KEPT: Final = 1.0 - 1.0 / 2000.0
 """What a stretch leaves of the record before."""
-_MIN_SHARE: Final = 0.15
-"""That share is never trusted to be smaller: other movements may show other errors."""
-
-_MOVING_SHARE: Final = 0.2
-"""Nor larger, while the drive moves the plant: one that is lost is then missing by as much as it moves."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,7 @@ class ErrorModel:
 
     rest: float
     """Variance at rest, in the output's unit squared."""
-    share: float = _FIRST_SHARE**2
+    share: float = _ERRORS.share**2
     """Variance of the error as a share of the movement."""
     seen: tuple[float, float] = _FIRST
     """Stretches each of them is known from."""
@@ -71,13 +82,13 @@ class ErrorModel:
     @classmethod
     def of(cls, noise: float) -> ErrorModel:
         """Before anything is learned, for readings with this noise (1 σ)."""
-        return cls((_FIRST_ERROR * noise) ** 2)
+        return cls((_ERRORS.at_rest * noise) ** 2)
 
     def error(self, moved: float, turned_down: float) -> float:
         """Usual error (1 σ) of a stretch over which the plant moves so far, and so far because the drive was
         turned down."""
-        share = max(math.sqrt(self.share), _MIN_SHARE)
-        return math.hypot(math.sqrt(self.rest), min(share, _MOVING_SHARE) * moved, share * turned_down)
+        share = max(math.sqrt(self.share), _ERRORS.least_share)
+        return math.hypot(math.sqrt(self.rest), min(share, _ERRORS.moving_share) * moved, share * turned_down)
 
     @property
     def mean(self) -> float:
@@ -89,15 +100,15 @@ class ErrorModel:
         at_rest = self.rest
         moving = self.share * moved**2
         total = at_rest + moving
-        square = min(error**2, _CLIP**2 * total)
+        square = min(error**2, _ERRORS.clip**2 * total)
         # The expected squares of both parts, given their sum.
-        rest = at_rest * moving / total + (at_rest / total) ** 2 * square
+        square_at_rest = at_rest * moving / total + (at_rest / total) ** 2 * square
         share = self.share * at_rest / total + (self.share * moved / total) ** 2 * square
-        seen = (min(self.seen[0] + 1.0, _MEMORY[0]), min(self.seen[1] + moving / total, _MEMORY[1]))
+        counts = (min(self.seen[0] + 1.0, _MEMORY[0]), min(self.seen[1] + moving / total, _MEMORY[1]))
         return ErrorModel(
-            self.rest + (rest - self.rest) / seen[0],
-            self.share + (share - self.share) / seen[1],
-            seen,
+            self.rest + (square_at_rest - self.rest) / counts[0],
+            self.share + (share - self.share) / counts[1],
+            counts,
             self.record.after(error, moved, _KEPT),
         )
 
@@ -119,57 +130,75 @@ class TrackedSample(NamedTuple):
 
 @compiled
 def _outputs_under(  # noqa: PLR0917 (what a run needs)
-    code: Code, vector: FloatArray, x: FloatArray, inputs: FloatArray, levels: FloatArray, d: FloatArray,
-    later: int, rest: FloatArray, usual: FloatArray, period: float, steps: int, instant: bool,
-) -> FloatArray:  # fmt: skip
+    code: Code,
+    vector: FloatArray,
+    x: FloatArray,
+    inputs: FloatArray,
+    levels: FloatArray,
+    d: FloatArray,
+    later: int,
+    resting: FloatArray,
+    usual: FloatArray,
+    period: float,
+    steps: int,
+    instant: bool,
+) -> FloatArray:
     """The output at the beginning, after all n samples and after `later` more, under inputs, shape (n + 1,),
     and, instead, at each of some levels; shape (1 + levels, 3). The last but one input is held on, as are the
     last disturbances, shape (n, nd). The output is read as `dynamics.read` does; an `instant` one shows the
     last input at the end and, at other levels, the first: estimated states suit that."""
     work = work_for(code, vector)
-    found = np.empty((1 + levels.size, 3))
+    outputs = np.empty((1 + levels.size, 3))
     n = inputs.size - 1
     u = np.empty(1)
     row = np.empty(d.shape[1])
-    read = rest.copy()
+    read = resting.copy()
     for k in range(1 + levels.size):
-        at = x.copy()
+        states = x.copy()
         for i in range(n + later + 1):
             for place, wanted in enumerate((0, n, n + later)):
                 if i == wanted:
                     if instant:
                         read[0] = inputs[min(i, n) if k == 0 else 0]
-                    call(code[SWITCHES], at, read, usual, work.p, work.b, work.b)
-                    call(code[OUTPUTS], at, read, usual, work.p, work.b, work.outputs)
-                    found[k, place] = work.outputs[0]
+                    call(code[SWITCHES], states, read, usual, work.p, work.b, work.b)
+                    call(code[OUTPUTS], states, read, usual, work.p, work.b, work.outputs)
+                    outputs[k, place] = work.outputs[0]
             if i < n + later:
-                now = min(i, n - 1)
-                u[0] = inputs[now] if k == 0 else levels[k - 1]
+                place_of_input = min(i, n - 1)
+                u[0] = inputs[place_of_input] if k == 0 else levels[k - 1]
                 for m in range(row.size):
-                    row[m] = d[now, m]
-                tick(code, at, u, row, work, period, steps)
-    return found
+                    row[m] = d[place_of_input, m]
+                tick(code, states, u, row, work, period, steps)
+    return outputs
 
 
 class SimulatedSpan:
     """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
 
     def __init__(
-        self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, *, period: float,
+        self,
+        first: TrackedSample,
+        inputs: FloatArray,
+        rows: FloatArray,
+        before: float,
+        *,
+        period: float,
         later: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`inputs` and `rows` of disturbances from the `first` sample on, and the input after them; `before`:
         input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
         self.first = first
         self._given = (inputs, rows)
         self._then = (later, period)
         levels = first.parameters.model.rest[0], before
-        (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(first.parameters, *levels)
+        (begun, self.works, held_on), (_, resting, _), (_, _, stood) = self._outputs(
+            first.parameters, *levels
+        )
         self.moved = self.works - begun
         """How far the output moves until the last sample ends, where `works` is the output."""
         self.effect = self.works - resting
         """What the drive contributes to it."""
-        self.changed = held - stood
+        self.changed = held_on - stood
         """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
     def __len__(self) -> int:
@@ -190,47 +219,81 @@ class SimulatedSpan:
         model = twin.model
         inputs, rows = self._given
         later, period = self._then
-        found = model.kernels.call(
-            _outputs_under, twin.vector, self.first.states, inputs, np.array(levels), rows, later, model.rest,
-            model.disturbances, period, twin.steps(period), model.instant,
-        )  # fmt: skip
-        return cast("list[list[float]]", found.tolist())
+        outputs = model.kernels.call(
+            _outputs_under,
+            twin.vector,
+            self.first.states,
+            inputs,
+            np.array(levels),
+            rows,
+            later,
+            model.rest,
+            model.disturbances,
+            period,
+            twin.steps(period),
+            model.instant,
+        )
+        return cast("list[list[float]]", outputs.tolist())
 
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
-"""Lengths of the stretches over which the drive's effect is estimated, s …"""
-_APART: Final = 1.0
-"""… and how far apart their ends are at least, s: a plant sampled faster shows nothing more."""
-_MIN_NOISES: Final = 8.0
-"""Least expected effect whose share is computed, in standard deviations of a reading's noise …"""
-_MIN_ERRORS: Final = 6.0
-"""… and in the usual error of the equations over such a stretch."""
-_LONG: Final = 2
-"""From this of the stretches on, the missing part of a smaller effect counts, too; over a shorter one it is
-only a step or two of the reading …"""
-_SHIFTED: Final = 3.0
-"""Change of what is known of a shift of the readings after which it starts over, in their noises."""
+"""Lengths of the stretches over which the drive's effect is estimated, s."""
+
+
+@dataclass(frozen=True)
+class _EffectRule:
+    """Which effects of a drive are compared with the readings, and what is missing of one that is lost."""
+
+    apart: float = 1.0
+    """How far apart the ends of the stretches are at least, s: a plant sampled faster shows nothing more."""
+    noises: float = 8.0
+    """Least expected effect whose share is computed, in standard deviations of a reading's noise."""
+    errors: float = 6.0
+    """Least expected effect whose share is computed, in the usual error of the equations over such a
+    stretch."""
+    long: int = 2
+    """From this of the stretches on, the missing part of a smaller effect counts, too; over a shorter one
+    it is only a step or two of the reading."""
+    missing: float = 0.6
+    """Share of the least effect that the missing part of a smaller one must be: where both begin, a share
+    of 0.4 is left."""
+    most_missing: float = 1.6
+    """The missing part may exceed the expected effect by this factor, as typical parameters may be so far
+    off; a larger error has another cause than a dead drive."""
+    shifted: float = 3.0
+    """Change of what is known of a shift of the readings after which it starts over, in their noises."""
+    far_better: float = 10.0
+    """Nats by which something else has to explain them better, and a reading that stands than all the
+    rest."""
+    room_change: float = 0.6
+    """Change of the room that a missing effect has to exceed, in the scale of the parameter: for minutes,
+    a heater that was giving little and is lost looks like a room that becomes colder."""
+    at_once: float = 0.6
+    """Least ratio of ten times the effect after one sample to that after ten, if the drive acts at once."""
+
+
+_EFFECT: Final = _EffectRule()
+
+
 _MINUTE: Final = -2
 """The place of the length of time of which all readings are compared with what else could explain them."""
-_FAR_BETTER: Final = 10.0
-"""Nats by which something else has to explain them better, and a reading that stands than all the rest."""
-_MISSING: Final = 0.6
-"""… if it is this share of the least effect: where both begin, a share of 0.4 is left."""
-_MAX_MISSING: Final = 1.6
-"""It may exceed the expected effect by this factor, as typical parameters may be so far off; a larger error
-has another cause than a dead drive."""
-_ROOM_CHANGE: Final = 0.6
-"""Change of the room that a missing effect has to exceed, in the scale of the parameter: for minutes, a
-heater that was giving little and is lost looks like a room that becomes colder."""
-_SETTLED: Final = 20.0
-"""Time after which the observer knows the states, s: after a gap, how warm the heater is behind its lag."""
-_DRIFT: Final = 0.01
-"""Drift of a state from the equations per second, in its scale."""
-_ROOM_DRIFT: Final = 0.03
-"""The same for a parameter of the surroundings, such as the room temperature: for minutes, errors of the
-equations look like a change of it."""
-_AT_ONCE: Final = 0.6
-"""Least ratio of ten times the effect after one sample to that after ten, if the drive acts at once."""
+
+
+@dataclass(frozen=True)
+class _ObserverDrifts:
+    """How the observer of the states is set."""
+
+    settled: float = 20.0
+    """Time after which the observer knows the states, s: after a gap, how warm the heater is behind its
+    lag."""
+    state: float = 0.01
+    """Drift of a state from the equations per second, in its scale."""
+    room: float = 0.03
+    """Drift of a parameter of the surroundings per second, such as the room temperature, in its scale:
+    for minutes, errors of the equations look like a change of it."""
+
+
+_DRIFTS: Final = _ObserverDrifts()
 
 
 def is_lagged(parameters: Parameters, period: float) -> bool:
@@ -250,7 +313,7 @@ def is_lagged(parameters: Parameters, period: float) -> bool:
     except PlantError:  # the equations have no solution in the middle of the range
         return False
     effect = np.abs(moved[0] - moved[1])
-    return bool(10.0 * effect[1] < _AT_ONCE * effect[10])
+    return bool(10.0 * effect[1] < _EFFECT.at_once * effect[10])
 
 
 class LaggedEffect(DriveEffect):
@@ -263,7 +326,7 @@ class LaggedEffect(DriveEffect):
         self._noise = parameters.model.plant.output.noise
         self._scale = slow_scale(parameters.model.plant, period)
         self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
-        self._apart = max(1, round(_APART * self._scale / period))
+        self._apart = max(1, round(_EFFECT.apart * self._scale / period))
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
         self._frozen = False
         self._shift = 0.0
@@ -318,7 +381,7 @@ class LaggedEffect(DriveEffect):
 
         While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
-        if abs(shift - self._shift) > _SHIFTED * self._noise:  # what was estimated since is wrong
+        if abs(shift - self._shift) > _EFFECT.shifted * self._noise:  # what was estimated since is wrong
             self.restart()
         self._shift = shift
         if shift:
@@ -340,7 +403,7 @@ class LaggedEffect(DriveEffect):
                 self._parameters,
                 sample.output,
                 period=self._period,
-                drift=_DRIFT * scales / math.sqrt(self._scale),
+                drift=_DRIFTS.state * scales / math.sqrt(self._scale),
                 start=scales,
                 input=sample.input,
                 disturbances=row,
@@ -361,7 +424,7 @@ class LaggedEffect(DriveEffect):
             self._standing = states
         self._reading = sample.output
         # While it is reported as lost, silence would count as its recovery.
-        settled = self._frozen or self._followed * self._period >= _SETTLED * self._scale
+        settled = self._frozen or self._followed * self._period >= _DRIFTS.settled * self._scale
         self._past.append(
             TrackedSample(
                 observer.parameters, states, sample.input, sample.output, row, self._errors, settled
@@ -391,17 +454,25 @@ class LaggedEffect(DriveEffect):
             before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
             stood = math.fsum(before) / len(before)
             stretch = SimulatedSpan(
-                past[first], inputs[first:], rows[first:-1], stood, period=self._period,
+                past[first],
+                inputs[first:],
+                rows[first:-1],
+                stood,
+                period=self._period,
                 later=self._spans[0],
-            )  # fmt: skip
+            )
             error = output - stretch.works
 
             def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
                 places = np.maximum(np.arange(first, len(past)) - delay, 0)
                 return SimulatedSpan(
-                    past[first], inputs[places], rows[first:-1], stood, period=self._period,
+                    past[first],
+                    inputs[places],
+                    rows[first:-1],
+                    stood,
+                    period=self._period,
                     later=self._spans[0],
-                )  # fmt: skip
+                )
 
             self._weigh(stretch, error, stretch.first.errors[k], later, output)
             if not self._frozen:
@@ -409,9 +480,13 @@ class LaggedEffect(DriveEffect):
         self._errors = tuple(learned)
 
     def _weigh(
-        self, stretch: SimulatedSpan, error: float, errors: ErrorModel,
-        later: Callable[[int], SimulatedSpan], output: float,
-    ) -> None:  # fmt: skip
+        self,
+        stretch: SimulatedSpan,
+        error: float,
+        errors: ErrorModel,
+        later: Callable[[int], SimulatedSpan],
+        output: float,
+    ) -> None:
         """Take the share of the expected effect that a stretch shows, if it is the least and counts.
 
         A drive that was turned down looks lost if it does more than its equations say, or sooner.
@@ -424,18 +499,18 @@ class LaggedEffect(DriveEffect):
         likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
         if self.newcomer:
             likely = max(likely, errors.mean)
-        least = max(_MIN_NOISES * self._noise, _MIN_ERRORS * likely)
+        least = max(_EFFECT.noises * self._noise, _EFFECT.errors * likely)
         nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
         sees = errors.record.sees_drive(self._noise)
         if share < FOLLOWS[0] and not (nothing or sees):
             return
         missing = abs(error) if share < 1.0 else 0.0
         counts = abs(effect) >= least
-        if len(stretch) >= self._spans[_LONG] and sees:
-            counts = counts or _MISSING * least <= missing <= _MAX_MISSING * abs(effect)
+        if len(stretch) >= self._spans[_EFFECT.long] and sees:
+            counts = counts or _EFFECT.missing * least <= missing <= _EFFECT.most_missing * abs(effect)
         if share >= self.share or not counts:
             return
-        if missing > _MISSING * abs(effect) and missing < stretch.colder(_ROOM_CHANGE):
+        if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(_EFFECT.room_change):
             return
         if share < FOLLOWS[0] and any(
             self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
@@ -473,9 +548,9 @@ class LaggedEffect(DriveEffect):
         for slow_error, causes in ((True, {*Cause}), (False, {Cause.FROZEN})):
             costs = costs_of_causes(effects, slow_error=slow_error)
             best, second = sorted(costs, key=costs.__getitem__)[:2]
-            if best is Cause.FROZEN and costs[second] < _FAR_BETTER:
+            if best is Cause.FROZEN and costs[second] < _EFFECT.far_better:
                 best = second  # under other losses, too, a plant comes to rest
-            if costs[Cause.DRIVE] >= _FAR_BETTER and best in causes:
+            if costs[Cause.DRIVE] >= _EFFECT.far_better and best in causes:
                 return best
         return None
 
@@ -489,7 +564,7 @@ class LaggedEffect(DriveEffect):
     def _random_walks(self) -> dict[str, RandomWalk]:
         declared = self._parameters.model.declared if not self._frozen else {}
         return {
-            name: RandomWalk(start=parameter.scale, drift=_ROOM_DRIFT * parameter.scale)
+            name: RandomWalk(start=parameter.scale, drift=_DRIFTS.room * parameter.scale)
             for name, parameter in declared.items()
             if parameter.role == "room"
         }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,16 +23,27 @@ from twinmatch.signals import FloatArray, Sample
 
 DELAYS_S: Final = (0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0)
 """Delays that are tried, s: up to where a late input and a lost drive look the same for a whole stretch."""
-_BLOCK: Final = 10.0
-"""Time that is tracked at once, s."""
-_CREDIBLE: Final = 6.0
-"""Nats by which a credible delay may be worse than the best: 1 in 400."""
-_FAR: Final = 40.0
-"""Nats by which another delay has to be better than the one that is taken: taking it starts over."""
-_KEPT: Final = 0.99
-"""What a block leaves of the code lengths before: the memory is a hundred blocks."""
-_LEARNED_AFTER: Final = 10
-"""Blocks after which a code length counts: a drive that has just been lost looks like a late one."""
+
+
+@dataclass(frozen=True)
+class _Delays:
+    """How the delay of the input is chosen."""
+
+    block: float = 10.0
+    """Time that is tracked at once, s."""
+    credible: float = 6.0
+    """Nats by which a credible delay may be worse than the best: 1 in 400."""
+    far: float = 40.0
+    """Nats by which another delay has to be better than the one that is taken: taking it starts over."""
+    memory: float = 0.99
+    """What a block leaves of the code lengths before: the memory is a hundred blocks."""
+    learned_after: int = 10
+    """Blocks after which a code length counts: a drive that has just been lost looks like a late one."""
+
+
+_DELAYS: Final = _Delays()
+
+
 _LEVEL: Final = 1.0
 """Assumed model error, in units of that of a real rig."""
 
@@ -47,10 +59,10 @@ def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[Float
     for delay in sorted({max(1, round(late)) for late in times}):
         yield inputs[np.maximum(np.arange(first, inputs.size) - delay, 0)]
     for late in times:
-        kept = math.exp(-1.0 / late)
+        remaining = math.exp(-1.0 / late)
         behind = [float(inputs[0])]
         for value in inputs.tolist():
-            behind.append(kept * behind[-1] + (1.0 - kept) * value)
+            behind.append(remaining * behind[-1] + (1.0 - remaining) * value)
         yield np.array(behind[1 + first :])
 
 
@@ -62,7 +74,7 @@ class LateInput:
         scale = slow_scale(parameters.model.plant, period)
         self._tracker = Tracker(parameters, period, (_LEVEL,))
         self._delays = sorted({round(delay * scale / period) for delay in DELAYS_S})
-        self._size = max(4, round(_BLOCK * scale / period))
+        self._size = max(4, round(_DELAYS.block * scale / period))
         self._costs = np.zeros(len(self._delays))
         self._taken = 0  # place of the delay with which inputs are taken
         self._waiting: deque[FloatArray] = deque()
@@ -75,7 +87,7 @@ class LateInput:
     @property
     def credible(self) -> tuple[int, ...]:
         """Delays that explain the readings about as well as the best of them, samples."""
-        near = self._costs <= self._costs.min() + _CREDIBLE
+        near = self._costs <= self._costs.min() + _DELAYS.credible
         return tuple(delay for delay, credible in zip(self._delays, near.tolist(), strict=True) if credible)
 
     @property
@@ -86,7 +98,8 @@ class LateInput:
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned."""
         self._past.clear()
-        self._fresh, self._gap = 0, bool(self._beliefs)
+        self._fresh = 0
+        self._gap = bool(self._beliefs)
         self._before = [np.nan, np.nan]
 
     def push(self, sample: Sample, *, learn: bool = True) -> None:
@@ -107,33 +120,37 @@ class LateInput:
 
     def _track(self) -> None:
         samples = list(self._past)[-self._size :]
-        inputs = [s.input for s in self._past]
         model = self._tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in samples])
         rows = rows.reshape(self._size, -1)
-        seen = np.array([s.seen for s in samples])
+        is_read = np.array([s.seen for s in samples])
         output = np.array([*self._before, *(s.output for s in samples)])
         self._before = output[-2:].tolist()
-        noise = np.where(seen, model.plant.output.noise, np.inf)
-        first = samples[0]
+        noise = np.where(is_read, model.plant.output.noise, np.inf)
         costs = np.zeros(len(self._delays))
-        for place, delay in enumerate(self._delays):
-            late = self._late(inputs, delay)
-            if len(self._beliefs) <= place:
-                self._beliefs.append(self._tracker.begin(first.output, float(late[0]), rows[0], 0))
-            elif self._gap:
-                again = self._tracker.again(self._beliefs[place], first.output, float(late[0]), rows[0])
-                self._beliefs[place] = again
-            self._beliefs[place], costs[place] = self._tracker.run(
-                self._beliefs[place], Readings(output, late, rows, noise), 0
-            )
+        for place in range(len(self._delays)):
+            late = self._late([s.input for s in self._past], self._delays[place])
+            belief = self._belief_before(place, samples[0].output, float(late[0]), rows[0])
+            belief, costs[place] = self._tracker.run(belief, Readings(output, late, rows, noise), 0)
+            if place < len(self._beliefs):
+                self._beliefs[place] = belief
+            else:
+                self._beliefs.append(belief)
         self._waiting.append(costs)
-        if len(self._waiting) > _LEARNED_AFTER:
-            self._costs = _KEPT * self._costs + self._waiting.popleft()
+        if len(self._waiting) > _DELAYS.learned_after:
+            self._costs = _DELAYS.memory * self._costs + self._waiting.popleft()
             best = int(np.argmin(self._costs))
-            if self._costs[self._taken] > self._costs[best] + _FAR:
+            if self._costs[self._taken] > self._costs[best] + _DELAYS.far:
                 self._taken = best
         self._gap = False
+
+    def _belief_before(self, place: int, output: float, entry: float, row: FloatArray) -> Belief:
+        """What is believed with a delay before a block that begins so; at first, and after a gap, little."""
+        if len(self._beliefs) <= place:
+            return self._tracker.begin(output, entry, row, 0)
+        if self._gap:
+            return self._tracker.again(self._beliefs[place], output, entry, row)
+        return self._beliefs[place]
 
     def _late(self, inputs: list[float], delay: int) -> FloatArray:
         """The inputs that act in the newest block, if they act so late."""

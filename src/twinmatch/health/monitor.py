@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 from twinmatch.dynamics import Parameters
@@ -31,27 +31,38 @@ from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
 from twinmatch.signals import Sample
 
-_CONFIRM: Final = 3
-"""Consecutive samples that must show a drive without effect; refused ones that replace another fault."""
-_WEAKLY: Final = 20.0
-"""Time for which a drive must show too small an effect, s."""
-_RECOVERED: Final = 15.0
-"""Time without any trace after which a sensor counts as recovered, s."""
+
+@dataclass(frozen=True)
+class _Reporting:
+    """When a fault is reported, and when it is over."""
+
+    confirm: int = 3
+    """Consecutive samples that must show a drive without effect; refused ones that replace another fault."""
+    weakly: float = 20.0
+    """Time for which a drive must show too small an effect, s."""
+    recovered: float = 15.0
+    """Time without any trace after which a sensor counts as recovered, s."""
+    over: float = 7.0
+    """Nats, a thousand to one, by which the whole effect of a drive explains more than the share
+    reported."""
+    stood: float = 30.0
+    """Time for which a reading must stand that explains a missing effect better than a lost drive, s."""
+    shows: float = 60.0
+    """Time after which a drive that works shows some effect against larger losses, s."""
+    prove: float = 10.0
+    """Time for which the plant must follow the drive before the drive counts as recovered, s."""
+    unproven: float = 120.0
+    """Time without any trace after which the drive counts as recovered without proof, s."""
+
+
+_REPORTING: Final = _Reporting()
+
+
 _OF_THE_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
-_OVER: Final = 7.0
-"""Nats, a thousand to one, by which the whole effect of a drive explains more than the share reported."""
-_STOOD: Final = 30.0
-"""Time for which a reading must stand that explains a missing effect better than a lost drive, s."""
-_SHOWS: Final = 60.0
-"""Time after which a drive that works shows some effect against larger losses, s."""
-_PROVE: Final = 10.0
-"""Time for which the plant must follow the drive before the drive counts as recovered, s."""
 _REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
 _KEPT: Final = 1000
 """Number of alarms kept: more than any window that is still matched can overlap."""
 _NEWCOMER: Final = "the twin does not describe this plant yet"
-_UNPROVEN: Final = 120.0
-"""Time without any trace after which the drive counts as recovered without proof, s."""
 
 
 class Monitor:
@@ -283,7 +294,7 @@ class Monitor:
         stood = self._repeats.count
         stands = self._late is not None and self._late.rival is Cause.FROZEN
         stands = stands and not (slow is not None and sample.index - slow.first > stood)
-        if stands and stood * self.settings.pace >= _STOOD:
+        if stands and stood * self.settings.pace >= _REPORTING.stood:
             return self._sentences.frozen(sample, self._repeats)
         if slow is not None and 0 < sample.index - slow.first <= stood:
             return slow._replace(sure=False)  # no reading has changed since: the sensor may be frozen
@@ -306,12 +317,12 @@ class Monitor:
         lag = self._lag.seconds(self._effect.length) if self._late is None else None
         if lag is not None:
             lag *= self.settings.period / self.settings.pace
-        sure = self._contrary >= _CONFIRM
+        sure = self._contrary >= _REPORTING.confirm
         if self._prompt and not self._balance.earned:  # it may not know how late this plant follows
-            sure = sure and (self._contrary + self._effect.length) * self.settings.pace >= _SHOWS
+            sure = sure and (self._contrary + self._effect.length) * self.settings.pace >= _REPORTING.shows
         if lag is not None:
             return self._sentences.late(index, self._effect, lag, sure=sure)
-        weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY
+        weakly = self._balance.smooth and self._feeble * self.settings.pace >= _REPORTING.weakly
         if lost and (sure or not weakly):
             both = self._both
             lagged = both or (self._late is not None and not self._slow.compares)
@@ -327,11 +338,11 @@ class Monitor:
     @property
     def _both(self) -> bool:
         """Whether larger losses may explain a missing effect as well: behind a lag, they do for a minute."""
-        known = self._late is not None and not self._blind and self._slow.compares
-        if not known or self._slow.blames_drive:
+        is_comparable = self._late is not None and not self._blind and self._slow.compares
+        if not is_comparable or self._slow.blames_drive:
             return False
         lasts = self._index - self._alarms[-1].flagged if self._unsettled else 0
-        return lasts * self.settings.pace < _SHOWS or self._effect.share > NOTHING
+        return lasts * self.settings.pace < _REPORTING.shows or self._effect.share > NOTHING
 
     @property
     def _unsettled(self) -> bool:
@@ -380,10 +391,10 @@ class Monitor:
             if evidence.slow and evidence.fault is on and self._slow.reported is None:
                 self._slow.mark_reported(index)  # the drive's effect has reported it already
                 self._slow_alarm = self._slow_alarm or on is Fault.DRIFT
-            others = frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
-            if evidence.fault not in others:
+            preceding = frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
+            if evidence.fault not in preceding:
                 return None
-            if evidence.fault is _REFUSED and self._refused < _CONFIRM:
+            if evidence.fault is _REFUSED and self._refused < _REPORTING.confirm:
                 return None
             if self._brief:
                 self._close(self._refused_at)
@@ -432,13 +443,13 @@ class Monitor:
         if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
-            return self._effect.returned >= _OVER
+            return self._effect.returned >= _REPORTING.over
         if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE, Fault.DRIFT):
             suspected = fault is Fault.DRIFT and self._slow.suspected
-            return (proven >= _PROVE or quiet >= _UNPROVEN) and not suspected
+            return (proven >= _REPORTING.prove or quiet >= _REPORTING.unproven) and not suspected
         if self._brief:
-            return (self._index - self._refused_at) * self.settings.pace >= _RECOVERED
-        return quiet >= _RECOVERED
+            return (self._index - self._refused_at) * self.settings.pace >= _REPORTING.recovered
+        return quiet >= _REPORTING.recovered
 
     def _close(self, last: int) -> Alarm:
         self._alarms[-1] = replace(self._alarms[-1], last=last)
@@ -450,11 +461,11 @@ class Monitor:
         rate = self._slow.rate
         if self._open:
             alarm = self._alarms[-1]
-            same = evidence is not None and evidence.fault is alarm.fault
-            reason = evidence.reason if evidence is not None and same else alarm.reason
+            is_same = evidence is not None and evidence.fault is alarm.fault
+            reason = evidence.reason if evidence is not None and is_same else alarm.reason
             since = alarm.first
-            of = alarm.signal
-            return Health(index, HealthState.FAULT, alarm.fault, since, reason, share, rate, news, of)
+            signal = alarm.signal
+            return Health(index, HealthState.FAULT, alarm.fault, since, reason, share, rate, news, signal)
         if evidence is None:
             return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.

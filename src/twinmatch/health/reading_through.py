@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,16 +12,26 @@ import numpy as np
 from twinmatch.dynamics import Model
 from twinmatch.dynamics.bank import BankConstants, BankMembers, ChangeRows, Reading, step, unborn
 
-_FAR: Final = 3.0
-"""Bands beyond which an estimate was missed: five standard deviations."""
+
+@dataclass(frozen=True)
+class _Bands:
+    """Bands of the estimates that are made without a sensor."""
+
+    far: float = 3.0
+    """Bands beyond which an estimate was missed: five standard deviations."""
+    strays: float = 4.0
+    """How far an estimate usually strays within the longest but one of these ages, in the sensor's noise."""
+    prior: float = 2.0
+    """Number of rehearsals as which that usual error counts."""
+
+
+_BANDS: Final = _Bands()
+
+
 _Z: Final = 1.645
 """Half of the band that holds nine of ten, in standard deviations of a normal distribution."""
 _AGES: Final = np.array([10.0, 30.0, 60.0, 120.0, 300.0, 600.0])
 """Ages up to which errors are learned apart, s of a plant as fast as the rig; beyond, those of the last."""
-_STRAYS: Final = 4.0
-"""How far an estimate usually strays within the longest but one of these ages, in the sensor's noise …"""
-_PRIOR: Final = 2.0
-"""… and the number of rehearsals as which this counts."""
 
 
 class MissingReading(NamedTuple):
@@ -35,9 +46,15 @@ class ReadThrough:
     """Estimates one output from the inputs and from the other outputs; push every sample."""
 
     def __init__(
-        self, model: Model, members: BankMembers, fixed: BankConstants, output: int, *, table: ChangeRows,
+        self,
+        model: Model,
+        members: BankMembers,
+        fixed: BankConstants,
+        output: int,
+        *,
+        table: ChangeRows,
         band: Callable[[int, float, float], float],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Continue with one member that asks the sensor nothing. `band` is half of the width that holds nine
         of ten readings at an age, samples, where the member's variance and that of the noise are given."""
         self._code = model.kernels.code
@@ -56,31 +73,32 @@ class ReadThrough:
         self.estimate = MissingReading(math.nan, math.nan)
         """What the sensor should read now."""
 
-    def push(self, given: Reading, variance: float) -> None:
+    def push(self, reading: Reading, variance: float) -> None:
         """Take a sample in which this sensor does not count; `variance` is that of its noise."""
-        self._given = given
+        self._given = reading
         self._noise = variance
         self.samples = self.samples + 1
-        step(self._code, self._fixed, self._alone, self._none, self._table, 1, given, 0)
+        step(self._code, self._fixed, self._alone, self._none, self._table, 1, reading, 0)
         self.estimate = self._seen_in(self._alone, self.samples)
 
     def lasts(self, wide: float, longest: int) -> int:
         """For how many samples, at most `longest`, the band stays narrower than ± `wide` under these inputs,
         if the other sensors read what is expected."""
         members = BankMembers(*(array.copy() for array in self._alone))
-        given = self._given
-        if given is None:
+        reading = self._given
+        if reading is None:
             return 0
-        quiet = np.zeros_like(given.repeated)
+        quiet = np.zeros_like(reading.repeated)
         for k in range(longest):
             if self._seen_in(members, self.samples + k).band > wide:
                 return k
-            given = given._replace(y=members.expected[0].copy(), repeated=quiet)
-            step(self._code, self._fixed, members, self._none, self._table, 1, given, 0)
+            reading = reading._replace(y=members.expected[0].copy(), repeated=quiet)
+            step(self._code, self._fixed, members, self._none, self._table, 1, reading, 0)
         return longest
 
     def _seen_in(self, members: BankMembers, age: int) -> MissingReading:
-        expected, variance = (float(one[0, self._output]) for one in (members.expected, members.variance))
+        expected = float(members.expected[0, self._output])
+        variance = float(members.variance[0, self._output])
         return MissingReading(expected, self._band(age, variance, self._noise))
 
 
@@ -90,7 +108,7 @@ class Rehearsal:
     def __init__(self, second: float, noise: float) -> None:
         """Begin without any; `second`: samples in a second of a plant as fast as the rig; `noise` as the
         plant file declares it."""
-        self._usual = (_STRAYS * noise) ** 2
+        self._usual = (_BANDS.strays * noise) ** 2
         self._strays = _AGES[-2] * second
         self._ends = np.round(_AGES * second).astype(np.int64)
         self._sums, self._count = np.zeros((2, _AGES.size))
@@ -110,27 +128,27 @@ class Rehearsal:
         self.on = estimate
         self._began_early = early
 
-    def push(self, given: Reading, variance: float, output: int) -> None:
+    def push(self, reading: Reading, variance: float, output: int) -> None:
         """Take a sample of all outputs, and the variance of the noise of this one."""
         if self.on is None:
             return
-        others = np.arange(given.seen.size) != output
-        self.on.push(given._replace(seen=given.seen & others), variance)
+        of_others = np.arange(reading.seen.size) != output
+        self.on.push(reading._replace(seen=reading.seen & of_others), variance)
         age = int(np.searchsorted(self._ends, self.on.samples))
         if age == _AGES.size:
-            if given.repeated[output]:
+            if reading.repeated[output]:
                 return  # it may be frozen, and this is what shows it
             # the sensor was right: so far off are estimates
             if self._early and not self._began_early:
                 self._sums[:] = 0.0
                 self._count[:] = 0.0
                 self._early = False
-            known = self._samples > 0.0
-            self._sums[known] += self._squares[known] / self._samples[known]
-            self._count += known
+            has_samples = self._samples > 0.0
+            self._sums[has_samples] += self._squares[has_samples] / self._samples[has_samples]
+            self._count += has_samples
             self.drop()
-        elif given.seen[output]:
-            self._squares[age] += max((given.y[output] - self.on.estimate.value) ** 2 - variance, 0.0)
+        elif reading.seen[output]:
+            self._squares[age] += max((reading.y[output] - self.on.estimate.value) ** 2 - variance, 0.0)
             self._samples[age] += 1.0
 
     def missed(self, since: int, value: float) -> bool:
@@ -138,15 +156,15 @@ class Rehearsal:
         if self.on is None or self.on.samples <= since:
             return False
         expected, band = self.on.estimate
-        return abs(value - expected) > _FAR * band
+        return abs(value - expected) > _BANDS.far * band
 
     def band(self, age: int, variance: float, noise: float) -> float:
         """Half of the width that holds nine of ten readings at an age, samples: that of Student's t, as the
         errors within a rehearsal are nearly one. The member's own variance, and the usual error, count as
         some rehearsals."""
         upto = min(int(np.searchsorted(self._ends, age)), _AGES.size - 1)
-        number = _PRIOR + self._count[upto]
+        number = _BANDS.prior + self._count[upto]
         usual = max(variance, self._usual * min(age / self._strays, 1.0))
-        found = max(variance, (_PRIOR * usual + self._sums[upto]) / number)
+        squares = max(variance, (_BANDS.prior * usual + self._sums[upto]) / number)
         wider = 1.0 + (_Z**2 + 1.0) / (4.0 * number) + (5.0 * _Z**4 + 16.0 * _Z**2 + 3.0) / (96.0 * number**2)
-        return _Z * math.sqrt(wider**2 * found + noise)
+        return _Z * math.sqrt(wider**2 * squares + noise)

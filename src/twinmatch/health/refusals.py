@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -14,16 +14,27 @@ from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.health.settings import HealthSettings
 from twinmatch.signals import FloatArray, Sample, Signals
 
-_REACH: Final = 1.2
-"""Factor by which drive and surroundings may move the plant further than the twin says. Where a large
-movement is expected, its absence is a drive fault, not an implausible reading."""
-_GUESSED: Final = 20.0
-"""The same factor before there is a twin: as far as the defaults of a new plant file may be off."""
-_SURE: Final = 6.0
-"""A movement below `jump` by this factor is never implausible: what is missing of the expected movement is
-then within its reach."""
-_LATE: Final = 5
-"""Samples by which the plant may answer later than the twin."""
+
+@dataclass(frozen=True)
+class _Implausible:
+    """Which movements a plant cannot have made."""
+
+    reach: float = 1.2
+    """Factor by which drive and surroundings may move the plant further than the twin says. Where a large
+    movement is expected, its absence is a drive fault, not an implausible reading."""
+    guessed: float = 20.0
+    """Factor by which the plant may move further than the defaults of a new plant file say, before there
+    is a twin: so far may they be off."""
+    sure: float = 6.0
+    """A movement below `jump` by this factor is never implausible: what is missing of the expected
+    movement is then within its reach."""
+    late: int = 5
+    """Samples by which the plant may answer later than the twin."""
+
+
+_IMPLAUSIBLE: Final = _Implausible()
+
+
 GAP: Final = 3.0
 """Time between two samples that counts as a gap: so many seconds, and so many periods. Half the shortest
 stretch over which the drive is judged, so that a late sample or two change nothing."""
@@ -34,8 +45,8 @@ def stamps_apart(before: Sample, after: Sample, period: float) -> bool:
 
     A process that was stopped, or a machine that slept, may continue the index where it was.
     """
-    passed = (after.stamp - before.stamp) / 1e9
-    return passed < 0 or passed > GAP * max(1.0, period) * max(after.index - before.index, 1)
+    elapsed = (after.stamp - before.stamp) / 1e9
+    return elapsed < 0 or elapsed > GAP * max(1.0, period) * max(after.index - before.index, 1)
 
 
 class Refusals:
@@ -57,7 +68,7 @@ class Refusals:
         self._jump = settings.jump * max(1.0, settings.pace)
         self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
         self._cut = False  # whether the first of these is not usable
-        self._earlier: deque[float] = deque(maxlen=_LATE)  # inputs of accepted samples
+        self._earlier: deque[float] = deque(maxlen=_IMPLAUSIBLE.late)  # inputs of accepted samples
 
     @property
     def taught(self) -> bool:
@@ -84,14 +95,14 @@ class Refusals:
     def _apart(self, before: Sample, sample: Sample) -> bool:
         """Whether the samples before say nothing about this one."""
         steps = sample.index - before.index
-        alike = sample.shape == before.shape and 1 <= steps <= self._longest + 1
-        return not alike or stamps_apart(before, sample, self._period)
+        comparable = sample.shape == before.shape and 1 <= steps <= self._longest + 1
+        return not comparable or stamps_apart(before, sample, self._period)
 
     def _possible(self, sample: Sample) -> bool:
         """Whether the plant can have these values."""
-        given = (*sample.references, *sample.inputs, *sample.disturbances)
+        commands = (*sample.references, *sample.inputs, *sample.disturbances)
         within = (low <= y <= high for (low, high), y in zip(self._spans, sample.outputs, strict=False))
-        return all(within) and all(map(math.isfinite, given))
+        return all(within) and all(map(math.isfinite, commands))
 
     def _leaps(self, sample: Sample) -> bool:
         """Whether the plant cannot have moved there since the newest accepted sample."""
@@ -101,16 +112,20 @@ class Refusals:
         if self._cut and not self._possible(before):
             return False
         moved = sample.output - before.output
-        if abs(moved) <= self._jump / _SURE:
+        if abs(moved) <= self._jump / _IMPLAUSIBLE.sure:
             return False
         inputs = [None, *self._earlier]  # the plant may answer later than the twin
-        twin, reach = (self._twin, _REACH) if self._twin else (self._defaults, _GUESSED)
-        expected = (self._movement(twin, sample.index, given) for given in inputs)
-        return all(abs(moved - to) > max(self._jump, reach * size) for to, size in expected)
+        twin, reach = (
+            (self._twin, _IMPLAUSIBLE.reach) if self._twin else (self._defaults, _IMPLAUSIBLE.guessed)
+        )
+        expected = (self._movement(twin, sample.index, earlier_input) for earlier_input in inputs)
+        return all(abs(moved - movement) > max(self._jump, reach * size) for movement, size in expected)
 
-    def _movement(self, twin: Parameters, index: int, given: float | None = None) -> tuple[float, float]:
+    def _movement(
+        self, twin: Parameters, index: int, constant_input: float | None = None
+    ) -> tuple[float, float]:
         """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes;
-        under another input, if one is `given`."""
+        under a `constant_input`, if there is one."""
         model = twin.model
         steps = twin.steps(self._period)
         states: FloatArray = np.full(len(model.states), np.nan)
@@ -120,11 +135,18 @@ class Refusals:
         try:
             for sample, (begin, end) in zip(self._since, pairwise(ends), strict=True):
                 row = model.disturbance_row(sample.disturbances or None)
-                u = float(sample.input if given is None else given)
+                u = float(sample.input if constant_input is None else constant_input)
                 for _ in range(end - begin):
                     drive, passive, states = model.kernels.parts(
-                        twin.vector, y, states, u, float(model.plant.drive.rest), row, self._period, steps,
-                    )  # fmt: skip
+                        twin.vector,
+                        y,
+                        states,
+                        u,
+                        float(model.plant.drive.rest),
+                        row,
+                        self._period,
+                        steps,
+                    )
                     y = y + drive + passive
                     size = size + abs(drive) + abs(passive)
         except PlantError:
@@ -169,7 +191,7 @@ class Refusals:
         )
 
 
-def _finite(values: Signals, held: Signals) -> Signals:
+def _finite(values: Signals, last_finite: Signals) -> Signals:
     """These values; for those that are not finite, the ones before."""
-    held = held or (0.0,) * len(values)
-    return tuple(v if math.isfinite(v) else before for v, before in zip(values, held, strict=True))
+    last_finite = last_finite or (0.0,) * len(values)
+    return tuple(v if math.isfinite(v) else before for v, before in zip(values, last_finite, strict=True))

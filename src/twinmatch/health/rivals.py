@@ -18,14 +18,25 @@ import numpy as np
 from twinmatch.dynamics import Parameters, simulate_driven
 from twinmatch.signals import FloatArray
 
-_EVERY: Final = 2
-"""Spacing of the onsets that are tried of causes that need a simulation, samples."""
-_LASTING: Final = 4
-"""Samples whose readings count as one: errors of the equations last."""
+
+@dataclass(frozen=True)
+class _Tried:
+    """How causes are simulated and compared."""
+
+    every: int = 2
+    """Spacing of the onsets that are tried of causes that need a simulation, samples."""
+    lasting: int = 4
+    """Samples whose readings count as one: errors of the equations last."""
+    step: float = 0.2
+    """Size of the push that is simulated, in the range of the drive: to first order, all others are
+    multiples."""
+
+
+_TRIED: Final = _Tried()
+
+
 _LOST: Final = (0.6, 1.0)
 """Range of the share of its effect that a lost drive lacks."""
-_STEP: Final = 0.2
-"""Size of the push that is simulated, in the range of the drive: to first order, all others are multiples."""
 
 
 class Cause(Enum):
@@ -82,21 +93,23 @@ def effects_of_causes(
         PlantError: the equations have no solution there.
     """
 
-    def moved(given: FloatArray) -> FloatArray:
-        return simulate_driven(twin, given, states=states, period=period, disturbances=rows).output
+    def moved(commands: FloatArray) -> FloatArray:
+        return simulate_driven(twin, commands, states=states, period=period, disturbances=rows).output
 
     expected = moved(inputs)
     missed = readings - expected
     drive = twin.model.plant.drive
     low, high = drive.limits
-    push = _STEP * (high - low)
+    push = _TRIED.step * (high - low)
     places = np.arange(inputs.size)
     onsets = np.arange(2, inputs.size - 2)
     after = places >= onsets[:, None]
 
     def more(changed: FloatArray | float) -> FloatArray:
         """How far the output leaves the expected path if the drive gets another input from an onset on."""
-        runs = [moved(np.where(places >= onset, changed, inputs)) for onset in onsets if onset % _EVERY == 0]
+        runs = [
+            moved(np.where(places >= onset, changed, inputs)) for onset in onsets if onset % _TRIED.every == 0
+        ]
         return np.array(runs) - expected
 
     return Effects(
@@ -124,22 +137,24 @@ def costs_of_causes(effects: Effects, *, slow_error: bool = True) -> dict[Cause,
         """Paths, shape (…, N), without what a slow error of the equations explains of them."""
         return paths - (paths @ ramp)[..., None] * ramp
 
-    off = no_ramp(effects.missed)
-    left = {
-        Cause.DRIVE: _least_squares_left(off, no_ramp(effects.dead), _LOST),
-        Cause.PUSH: _least_squares_left(off, no_ramp(effects.pushed)),
-        Cause.SHIFTED: _least_squares_left(off, no_ramp(effects.shifted)),
+    missed = no_ramp(effects.missed)
+    squares_left = {
+        Cause.DRIVE: _least_squares_left(missed, no_ramp(effects.dead), _LOST),
+        Cause.PUSH: _least_squares_left(missed, no_ramp(effects.pushed)),
+        Cause.SHIFTED: _least_squares_left(missed, no_ramp(effects.shifted)),
         Cause.FROZEN: float((no_ramp(effects.frozen) ** 2).sum(axis=1).min()),
     }
-    best = min(left.values())
+    best = min(squares_left.values())
     usual = max(effects.noise**2, best / size)
-    return {cause: (squares - best) / (2.0 * usual * _LASTING) for cause, squares in left.items()}
+    return {
+        cause: (squares - best) / (2.0 * usual * _TRIED.lasting) for cause, squares in squares_left.items()
+    }
 
 
 def _least_squares_left(
-    off: FloatArray, patterns: FloatArray, sizes: tuple[float, float] = (-math.inf, math.inf)
+    missed: FloatArray, patterns: FloatArray, sizes: tuple[float, float] = (-math.inf, math.inf)
 ) -> float:
     """The squares that the best multiple, within a range, of the best of some patterns leaves."""
-    best = patterns @ off / np.maximum((patterns**2).sum(axis=1), 1e-300)
-    rest = off - np.clip(best, *sizes)[:, None] * patterns
-    return float((rest**2).sum(axis=1).min())
+    best = patterns @ missed / np.maximum((patterns**2).sum(axis=1), 1e-300)
+    residuals = missed - np.clip(best, *sizes)[:, None] * patterns
+    return float((residuals**2).sum(axis=1).min())

@@ -48,48 +48,49 @@ class LearnedSensor:
         """That of a reading, with its rounding."""
         return self.noise**2 + self.step**2 / 12.0
 
-    def read(self, value: float, seen: bool) -> None:
+    def read(self, value: float, counts: bool) -> None:
         """Take a reading, and whether it counts."""
         self._counted = self._pauses[self.repeated]
-        self.repeated = seen and value == self._before
+        self.repeated = counts and value == self._before
 
     @property
     def pause(self) -> float:
         """Probability that it repeats this reading, or might have, whatever the plant does."""
         return self._counted[0] / self._counted[1]
 
-    def walked(self, value: float, seen: bool, gained: float) -> float:
+    def walked(self, value: float, counts: bool, gained: float) -> float:
         """Log-probability of the reading without equations: it is like the one before. A repeat says nothing
         of a display with coarse steps: it counts as the equations say, `gained`."""
         if self.repeated:
             return gained
-        if not seen or math.isnan(self._before):
+        if not counts or math.isnan(self._before):
             return 0.0
         anchor = self._before if math.isnan(self._anchor) else self._anchor
-        off = value - anchor
+        change = value - anchor
         spread = self._walk
-        near, far = (_between(off, self.step, by * spread) for by in (1.0, 3.0))
-        moved = min(max(abs(off), 0.3 * self.noise), 4.0 * spread)
+        near = _between(change, self.step, 1.0 * spread)
+        far = _between(change, self.step, 3.0 * spread)
+        moved = min(max(abs(change), 0.3 * self.noise), 4.0 * spread)
         self._walk += (1.2 * moved - spread) / (30.0 * self._second)
-        like = 0.95 * near + 0.05 * far
+        likelihood = 0.95 * near + 0.05 * far
         junk = JUNK * min(self.step / self._span, 1.0)
         # A reading that says nothing is not where the next one starts, but two are.
-        self._anchor = anchor if like < junk and math.isnan(self._anchor) else math.nan
-        return math.log((1.0 - self.pause) * like + junk)
+        self._anchor = anchor if likelihood < junk and math.isnan(self._anchor) else math.nan
+        return math.log((1.0 - self.pause) * likelihood + junk)
 
-    def learn(self, value: float, seen: bool, gained: float) -> None:
+    def learn(self, value: float, counts: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""
         if self.repeated:
             self.repeats = self.repeats + 1
             self.frozen = self.frozen + _STANDS - gained
-        elif seen:
+        elif counts:
             self.repeats = 0
             self.frozen = 0.0
         earlier = self._earlier
         before = self._before
         self._earlier = before
-        self._before = value if seen else math.nan
-        if not seen or math.isnan(before):
+        self._before = value if counts else math.nan
+        if not counts or math.isnan(before):
             return
         if self.repeats < 10:
             self._counted[0] += 0.5 * self.repeated
@@ -98,7 +99,8 @@ class LearnedSensor:
                 self._counted[:] = 0.5 * self._counted[0], 0.5 * self._counted[1]
         moved = abs(value - before)
         if moved > 1e-9:
-            self._moves, self._smallest = self._moves + 1, min(self._smallest, moved)
+            self._moves = self._moves + 1
+            self._smallest = min(self._smallest, moved)
             if self._moves >= _MOVES:
                 self.step = min(self._smallest, 30.0 * self._usual)
         if not math.isnan(earlier):
@@ -107,7 +109,8 @@ class LearnedSensor:
         self.noise = min(max(self._rough / _SECOND, 0.3 * self._usual), 1.5 * self._usual)
 
 
-def _between(off: float, digit: float, spread: float) -> float:
-    """Probability that a normal value rounds to a reading that is `off` from its mean."""
-    low, high = ((off + side * digit) / (math.sqrt(2.0) * spread) for side in (-0.5, 0.5))
+def _between(deviation: float, digit: float, spread: float) -> float:
+    """Probability that a normal value rounds to a reading with this deviation from its mean."""
+    low = (deviation - 0.5 * digit) / (math.sqrt(2.0) * spread)
+    high = (deviation + 0.5 * digit) / (math.sqrt(2.0) * spread)
     return 0.5 * (math.erf(high) - math.erf(low))

@@ -17,28 +17,46 @@ from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
 
-_NAMED: Final = frozenset(
-    fault for fault, traits in TRAITS.items() if not traits.unnamed and not traits.blinds
-)
+_NAMED: Final = frozenset(f for f, traits in TRAITS.items() if not traits.unnamed and not traits.blinds)
 """Slow changes that name a cause."""
-_AGREEING: Final = 2
-"""Consecutive comparisons that must agree on the kind of change."""
-_UNNAMED_FACTOR: Final = 2.0
-"""Factor on the gain required of a change that has no cause, over that of one that has."""
-_NAME_WAIT: Final = 60.0
-"""Time to wait for a name before an unnamed change is reported, s."""
-_ACCEPT: Final = 600.0
-"""Time after which a reported change counts as the plant's normal state, s; shifted readings never do."""
-_MOVED: Final = 10.0
-"""What has passed is reported if it moved the output by so many standard deviations of its noise."""
-_REMAINDER: Final = 0.4
-"""Share of a change that may remain when it counts as over."""
-_GROWN: Final = 2.0
-"""By what a doubted shift may have grown until the readings come back."""
-_DOUBTED: Final = 15.0
-"""Least shift of readings that are doubted, in standard deviations of their noise."""
-_CLEARLY: Final = 2.0
-"""By how much another cause must explain more to exclude shifted readings, in what a name must lead by."""
+
+
+@dataclass(frozen=True)
+class _SlowReports:
+    """When a slow change is reported."""
+
+    agreeing: int = 2
+    """Consecutive comparisons that must agree on the kind of change."""
+    unnamed: float = 2.0
+    """Factor on the gain required of a change that has no cause, over that of one that has."""
+    name_wait: float = 60.0
+    """Time to wait for a name before an unnamed change is reported, s."""
+    moved: float = 10.0
+    """What has passed is reported if it moved the output by so many standard deviations of its noise."""
+    clearly: float = 2.0
+    """By how much another cause must explain more to exclude shifted readings, in what a name must lead
+    by."""
+
+
+_REPORTS: Final = _SlowReports()
+
+
+@dataclass(frozen=True)
+class _SlowEnds:
+    """When a reported change is over."""
+
+    accept: float = 600.0
+    """Time after which a reported change counts as the plant's normal state, s; shifted readings never
+    do."""
+    remainder: float = 0.4
+    """Share of a change that may remain when it counts as over."""
+    grown: float = 2.0
+    """By what a doubted shift may have grown until the readings come back."""
+    doubted: float = 15.0
+    """Least shift of readings that are doubted, in standard deviations of their noise."""
+
+
+_ENDS: Final = _SlowEnds()
 
 
 @dataclass
@@ -181,8 +199,8 @@ class SlowChanges:
         """Whether the reported change is over: reversed, or accepted as the plant's normal state."""
         if self._reported is None:
             return True
-        known = (index - self._reported.at) * self._settings.pace >= _ACCEPT
-        over = self._over or (known and self._reported.fault is not Fault.SENSOR_DRIFT)
+        is_accepted = (index - self._reported.at) * self._settings.pace >= _ENDS.accept
+        over = self._over or (is_accepted and self._reported.fault is not Fault.SENSOR_DRIFT)
         if over:
             self._reported = None
         return over
@@ -190,7 +208,7 @@ class SlowChanges:
     def push(self, sample: Sample) -> None:
         """Take a sample."""
         shift = self._shift
-        if shift and shift.named and abs(self.offset - shift.before) <= _REMAINDER * abs(shift.size):
+        if shift and shift.named and abs(self.offset - shift.before) <= _ENDS.remainder * abs(shift.size):
             self._end_shift()
         self._detector.changed = self.reported is not None and TRAITS[self.reported].another_plant
         self._begin_trial()
@@ -203,8 +221,8 @@ class SlowChanges:
                 self._leave_doubt(lasting=self._lasted(sample.index))
                 self._clear_suspicion()
             return
-        kind = change.hypothesis.fault
-        self._running = self._running + 1 if self._change and self._change.hypothesis.fault is kind else 1
+        fault = change.hypothesis.fault
+        self._running = self._running + 1 if self._change and self._change.hypothesis.fault is fault else 1
         self._change = change
         self._doubt_readings(change, sample.index)
         if not self._settled(change, sample.index):
@@ -237,16 +255,16 @@ class SlowChanges:
         settings = self._settings
         shift = self._shift
         behind = change.behind(Fault.SENSOR_DRIFT)
-        least = _DOUBTED * settings.followed.model.plant.output.noise
-        near = behind <= _CLEARLY * settings.lead and abs(change.off) >= least
+        least = _ENDS.doubted * settings.followed.model.plant.output.noise
+        near = behind <= _REPORTS.clearly * settings.lead and abs(change.off) >= least
         sure = change.gain - behind >= settings.change and change.begun and self.earned
         sure = sure and self._separable(change)
         if shift is None:
             self._likely = self._likely + 1 if near and sure else 0
-            if self._likely >= _AGREEING:
+            if self._likely >= _REPORTS.agreeing:
                 self._shift = _Shift(change.off, index)
         elif shift.open:
-            self._likely = _AGREEING if near else self._likely - 1
+            self._likely = _REPORTS.agreeing if near else self._likely - 1
             if self._likely <= 0:
                 self._end_shift()
             elif near:
@@ -255,13 +273,15 @@ class SlowChanges:
 
     def _expect_back(self) -> None:
         shift = self._shift
-        off = 0.0 if shift is None else self.offset - shift.before if shift.named else shift.size
-        self._detector.expect_back(-off)
+        offset = 0.0
+        if shift is not None:
+            offset = self.offset - shift.before if shift.named else shift.size
+        self._detector.expect_back(-offset)
 
     def _lasted(self, index: int) -> bool:
         """Whether the readings have been doubted for as long as a name is waited for."""
         since = index if self._shift is None else self._shift.since
-        return (index - since) * self._settings.pace >= _NAME_WAIT
+        return (index - since) * self._settings.pace >= _REPORTS.name_wait
 
     def _adopt(self, before: Sequence[Belief] = (), *, lasting: bool) -> None:
         """Learn the change, or that all is as `before`; `lasting`: a doubt that came up with it stays."""
@@ -295,7 +315,7 @@ class SlowChanges:
 
     def _settled(self, change: DetectedChange, index: int) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
-        if change.gain < self._settings.change or self._running < _AGREEING:
+        if change.gain < self._settings.change or self._running < _REPORTS.agreeing:
             return False
         returned = self._is_return(change)
         if returned:
@@ -307,19 +327,21 @@ class SlowChanges:
         h = change.hypothesis
         if h.fault is Fault.DISTURBANCE:
             return self._absorbed(change)
-        same = reported is not None and reported.hypothesis.index == h.index
-        same = same and not (
+        is_same = reported is not None and reported.hypothesis.index == h.index
+        is_same = is_same and not (
             self.reported is Fault.DRIFT and h.fault is Fault.SENSOR_DRIFT
         )  # now it has a name
-        if not same and h.parameter:
+        if not is_same and h.parameter:
             return False
-        usual = reported.before if reported is not None and same else 0.0
-        left = change.value - usual
-        back = abs(left) <= max(_REMAINDER * max(abs(change.shift), abs(change.before - usual)), h.least)
-        if not back and (not same or change.lead < self._settings.lead):
+        usual = reported.before if reported is not None and is_same else 0.0
+        remaining = change.value - usual
+        back = abs(remaining) <= max(
+            _ENDS.remainder * max(abs(change.shift), abs(change.before - usual)), h.least
+        )
+        if not back and (not is_same or change.lead < self._settings.lead):
             return False
         before: Sequence[Belief] = ()
-        if back and same and reported is not None:
+        if back and is_same and reported is not None:
             self._over = True
             before = reported.beliefs if TRAITS[reported.fault].another_plant else ()
         self._detector.track_record.forget_newest()
@@ -332,7 +354,7 @@ class SlowChanges:
         if shift is None or shift.named or shift.open or change.hypothesis.fault is not Fault.SENSOR_DRIFT:
             return False
         undone = -change.shift / shift.size  # more than all of it, if it has grown since
-        return 1.0 - _REMAINDER <= undone <= _GROWN and change.lead >= self._settings.lead
+        return 1.0 - _ENDS.remainder <= undone <= _ENDS.grown and change.lead >= self._settings.lead
 
     def _absorbed(self, change: DetectedChange) -> bool:
         """Whether what has passed needs no report: too small, or while a reported change is on."""
@@ -344,12 +366,12 @@ class SlowChanges:
     def _surely_passed(self, change: DetectedChange) -> bool:
         """Whether something that has passed explains far more than anything that would have lasted."""
         clearly = change.gain >= self._enough_unnamed
-        return clearly and change.lead >= self._settings.lead and self._running >= _AGREEING
+        return clearly and change.lead >= self._settings.lead and self._running >= _REPORTS.agreeing
 
     @property
     def _enough_unnamed(self) -> float:
         """Gain required of what has no cause: a wrong twin, which misses such movements, is its rival."""
-        return _UNNAMED_FACTOR * self._settings.change * self._detector.track_record.missed
+        return _REPORTS.unnamed * self._settings.change * self._detector.track_record.missed
 
     def _passage(self) -> tuple[float, float] | None:
         """How far something that has passed moved the output, and how long it lasted, s; None if that is too
@@ -359,7 +381,7 @@ class SlowChanges:
         block = self._detector.block
         strong = np.abs(pushes) >= self._change.hypothesis.least * block
         noise = self._settings.followed.model.plant.output.noise
-        if not strong.any() or np.abs(pushes).sum() < _MOVED * noise:
+        if not strong.any() or np.abs(pushes).sum() < _REPORTS.moved * noise:
             return None
         return float(pushes.sum()), int(strong.sum()) * block
 
@@ -367,7 +389,7 @@ class SlowChanges:
         """The evidence for a change."""
         h = change.hypothesis
         settings = self._settings
-        enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
+        enough = self._running >= _REPORTS.agreeing and change.gain >= settings.change and change.begun
         enough = enough and self.earned
         material = abs(change.shift) >= h.least
         named = change.lead >= settings.lead and h.fault is not Fault.DRIFT
@@ -381,9 +403,9 @@ class SlowChanges:
         if h.fault is Fault.SENSOR_DRIFT and not self._separable(change):
             named = False
         if named and h.fault is Fault.DISTURBANCE:
-            passed = self._surely_passed(change) and enough
+            has_passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
-            return Evidence(Fault.DISTURBANCE, passed, change.first, reason, slow=True)
+            return Evidence(Fault.DISTURBANCE, has_passed, change.first, reason, slow=True)
         if named:
             sentences = self._sentences
             places = {Fault.DRIVE_WEAK: "drive, wires and supply", Fault.SENSOR_DRIFT: sentences.sensor}
@@ -392,7 +414,7 @@ class SlowChanges:
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
-            (index - self._unnamed_since) * settings.pace >= _NAME_WAIT
+            (index - self._unnamed_since) * settings.pace >= _REPORTS.name_wait
         )
         sure = enough and material and waited and change.gain >= self._enough_unnamed
         return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)

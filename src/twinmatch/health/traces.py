@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,48 +17,75 @@ from twinmatch.health.earned import NOTHING
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
-_MIN_EFFECT: Final = 15.0
-"""Least movement expected from the drive: the size of a healthy camera's jumps …"""
-_MIN_RATE: Final = 4.5
-"""… plus this for every second: twice the error of a twin over minutes …"""
-_ROUGHNESS: Final = 2.0
-"""… or, with a less accurate twin, so many times the roughness of the balance."""
-_ROUGH_RATE: Final = 1.0
-"""Least usual error of a balance, in noises per second …"""
-_ERROR_SHARE: Final = 0.25
-"""… and as a share of what the drive does …"""
-_ERRORS_LAST: Final = 10.0
-"""… and time for which it lasts, s: errors of a twin are alike for some seconds."""
-_STEP: Final = 8.0
-"""A larger unexplained step is attributed to the sensor unless one like it came just before."""
-_LIKE: Final = 4.0
-"""Unexplained movement in the same direction just before that makes a step part of a movement."""
+
+
+@dataclass(frozen=True)
+class _DriveEffect:
+    """Which movements of the drive are compared with the readings."""
+
+    least: float = 15.0
+    """Least movement expected from the drive, in noises: the size of a healthy camera's jumps."""
+    rate: float = 4.5
+    """What is added to it for every second, in noises: twice the error of a twin over minutes."""
+    roughness: float = 2.0
+    """What is added instead with a less accurate twin, in the roughness of the balance."""
+    rough_rate: float = 1.0
+    """Least usual error of a balance, in noises per second."""
+    error_share: float = 0.25
+    """Usual error of a balance as a share of what the drive does."""
+    errors_last: float = 10.0
+    """Time for which the error of a balance lasts, s: errors of a twin are alike for some seconds."""
+    step: float = 8.0
+    """A larger unexplained step is attributed to the sensor unless one like it came just before."""
+    like: float = 4.0
+    """Unexplained movement in the same direction just before that makes a step part of a movement."""
+
+
+_DRIVE: Final = _DriveEffect()
+
+
 FOLLOWS: Final = (0.6, 2.5)
 """Range of shares of the expected effect that prove that the drive works."""
 
-_LONGER: Final = 2.0
-"""Factor by which a reading must be repeated more often than any before it: repeats come in runs."""
-_CHANCE: Final = 1e-9
-"""Probability below which repeated readings are not chance; a year has 3e7 seconds."""
-_MIN_NOISE: Final = 0.1
-"""Mean change from reading to reading below which a healthy sensor may repeat itself indefinitely."""
-_MIN_MOVES: Final = 30
-"""Changes of the reading needed to know how often it repeats."""
-_COARSELY: Final = 8.0
-"""Movement of the plant above which even a sensor with coarse steps should not repeat its reading."""
-_STEPS: Final = 3.0
-"""A reading shows noise if its changes differ, on average, by so many of the smallest change."""
-_MOVED: Final = 30.0
-"""Movement of the plant above which a sensor that repeats its reading is frozen."""
 
-_MAX_LAG: Final = 7.0
-"""Longest lag tried, s; the best one must be shorter, or it could as well be a dead drive."""
-_MIN_LAG: Final = 2.0
-"""Least lag that is reported, s."""
-_LAG_SUM: Final = 4.0
-"""Movements are compared in sums over this time, to suppress noise, s."""
-_FAR_BETTER: Final = 0.3
-"""Share of the squared error that a far better explanation may leave."""
+@dataclass(frozen=True)
+class _RepeatRule:
+    """When a sensor that repeats its reading is frozen."""
+
+    longer: float = 2.0
+    """Factor by which a reading must be repeated more often than any before it: repeats come in runs."""
+    chance: float = 1e-9
+    """Probability below which repeated readings are not chance; a year has 3e7 seconds."""
+    least_noise: float = 0.1
+    """Mean change from reading to reading below which a healthy sensor may repeat itself indefinitely."""
+    least_moves: int = 30
+    """Changes of the reading needed to know how often it repeats."""
+    coarsely: float = 8.0
+    """Movement of the plant above which even a sensor with coarse steps should not repeat its reading."""
+    steps: float = 3.0
+    """A reading shows noise if its changes differ, on average, by so many of the smallest change."""
+    moved: float = 30.0
+    """Movement of the plant above which a sensor that repeats its reading is frozen."""
+
+
+_REPEATS: Final = _RepeatRule()
+
+
+@dataclass(frozen=True)
+class _LagRule:
+    """How a lag of the input is looked for."""
+
+    most: float = 7.0
+    """Longest lag tried, s; the best one must be shorter, or it could as well be a dead drive."""
+    least: float = 2.0
+    """Least lag that is reported, s."""
+    sum: float = 4.0
+    """Movements are compared in sums over this time, to suppress noise, s."""
+    far_better: float = 0.3
+    """Share of the squared error that a far better explanation may leave."""
+
+
+_LAG: Final = _LagRule()
 
 
 class DriveEffect:
@@ -105,27 +133,27 @@ class Effect(DriveEffect):
     def push(self, movement: Movement, roughness: float, *, earned: bool) -> None:
         """Take the movement of one period, the roughness (per second) of the balance that it comes from, and
         whether that balance has predicted the plant."""
-        least = max(_MIN_RATE * self._noise, _ROUGHNESS * roughness) * self._period
-        left = movement.unexplained
+        least = max(_DRIVE.rate * self._noise, _DRIVE.roughness * roughness) * self._period
+        unexplained = movement.unexplained
         if self._accused is not None:
-            usual = max(roughness, _ROUGH_RATE * self._noise) * self._period
+            usual = max(roughness, _DRIVE.rough_rate * self._noise) * self._period
             self._weigh(movement, usual, self._accused)
-        like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
-        isolated = abs(left) > _STEP * self._noise and not like
-        self._last = left
-        drive, rest = self._sums[-1]
-        self._sums.append((drive + movement.drive, rest + (0.0 if isolated else left)))
+        continues = abs(self._last) > _DRIVE.like * self._noise and unexplained * self._last > 0
+        isolated = abs(unexplained) > _DRIVE.step * self._noise and not continues
+        self._last = unexplained
+        drive, unexplained_sum = self._sums[-1]
+        self._sums.append((drive + movement.drive, unexplained_sum + (0.0 if isolated else unexplained)))
         self.share = math.nan
         newest = self._sums[-1]
-        known = len(self._sums) - 1
+        moves = len(self._sums) - 1
         for length in self._spans:
-            if length > known:
+            if length > moves:
                 break
-            then = self._sums[known - length]
-            expected = newest[0] - then[0]
-            if abs(expected) < _MIN_EFFECT * self._noise + least * length:
+            before = self._sums[moves - length]
+            expected = newest[0] - before[0]
+            if abs(expected) < _DRIVE.least * self._noise + least * length:
                 continue
-            share = 1.0 + (newest[1] - then[1]) / expected
+            share = 1.0 + (newest[1] - before[1]) / expected
             counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
             if counts and not share >= self.share:
                 self.share = share
@@ -135,11 +163,11 @@ class Effect(DriveEffect):
     def _weigh(self, movement: Movement, usual: float, share: float) -> None:
         """Weigh a movement, whose usual error is `usual` and lasts for several samples, against a share."""
         drive = movement.drive
-        usual = math.hypot(usual, _ERROR_SHARE * movement.drive)
+        usual = math.hypot(usual, _DRIVE.error_share * movement.drive)
         most = 1.5 * abs(drive) + 3.0 * usual
-        left = min(max(movement.unexplained, -most), most)
-        missing = left + (1.0 - share) * drive
-        ratio = 0.5 * (missing**2 - left**2) / usual**2 * min(self._period / _ERRORS_LAST, 1.0)
+        unexplained = min(max(movement.unexplained, -most), most)
+        missing = unexplained + (1.0 - share) * drive
+        ratio = 0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _DRIVE.errors_last, 1.0)
         self.returned = max(self.returned + ratio, 0.0)
 
 
@@ -165,14 +193,19 @@ class Repeats:
         self.count = 0
         """How many times the newest reading has been repeated."""
         self.expected = 0.0
-        """Movement expected since the first of them …"""
-        self._error = 0.0  # … and how far it may be wrong
+        """Movement expected since the first of them."""
+        self._error = 0.0  # how far that movement may be wrong
         self._inward = 0.0
 
     def push(
-        self, change: float, movement: Movement, inward: float = 0.0, error: float = 0.0, *,
+        self,
+        change: float,
+        movement: Movement,
+        inward: float = 0.0,
+        error: float = 0.0,
+        *,
         earned: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take the newest change of the reading and the movement it belongs to, with its usual `error`; this
         counts if the one who expected it has `earned` that.
 
@@ -189,10 +222,10 @@ class Repeats:
                 self._seen = min(self._seen + 1, 300)
                 self._often += (repeats - self._often) / self._seen
                 self._lately += (repeats - self._lately) / 30
-                now = 0.0 if repeats else change
-                self._change += (abs(now) - self._change) / 30
-                self._jitter += (abs(now - self._last) - self._jitter) / 30
-                self._last = now
+                change_now = 0.0 if repeats else change
+                self._change += (abs(change_now) - self._change) / 30
+                self._jitter += (abs(change_now - self._last) - self._jitter) / 30
+                self._last = change_now
             self._moves += 1
             self._step = min(self._step, abs(change))
             self._longest = max(self._longest, self.count)
@@ -203,13 +236,13 @@ class Repeats:
     @property
     def _coarse(self) -> bool:
         """Whether the readings' steps, as the file says or as they have shown, are coarser than the noise."""
-        shown = self._step if self._moves >= _MIN_MOVES else 0.0
+        shown = self._step if self._moves >= _REPEATS.least_moves else 0.0
         return max(self._stated, shown) > self._noise
 
     @property
     def unusual(self) -> bool:
         """Whether the newest reading has been repeated so often that nothing else can be judged from it."""
-        moved = not self._coarse or abs(self.expected) > _COARSELY * self._noise
+        moved = not self._coarse or abs(self.expected) > _REPEATS.coarsely * self._noise
         return self.count >= 3 and moved
 
     @property
@@ -218,13 +251,15 @@ class Repeats:
         if self.count + 1 < self._most:
             return False
         if self._inward:
-            return self.expected * self._inward > _MOVED * self._noise
+            return self.expected * self._inward > _REPEATS.moved * self._noise
         chance = max(self._often, self._lately, 0.02) ** self.count
-        noisy = self._moves >= _MIN_MOVES and self._change >= _MIN_NOISE * self._noise
+        noisy = self._moves >= _REPEATS.least_moves and self._change >= _REPEATS.least_noise * self._noise
         # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
-        noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
-        noisy = noisy and self.count >= _LONGER * self._longest
-        return abs(self.expected) > _MOVED * self._noise + self._error or (noisy and chance < _CHANCE)
+        noisy = noisy and not self._coarse and self._jitter >= _REPEATS.steps * self._step
+        noisy = noisy and self.count >= _REPEATS.longer * self._longest
+        return abs(self.expected) > _REPEATS.moved * self._noise + self._error or (
+            noisy and chance < _REPEATS.chance
+        )
 
 
 class Lag:
@@ -232,8 +267,8 @@ class Lag:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._size = round((_SPANS[-1] + _MAX_LAG + _LAG_SUM) / period) + 2
-        self._sum = max(1, round(_LAG_SUM / period))
+        self._size = round((_SPANS[-1] + _LAG.most + _LAG.sum) / period) + 2
+        self._sum = max(1, round(_LAG.sum / period))
         self.restart()
 
     def restart(self) -> None:
@@ -249,17 +284,17 @@ class Lag:
     def seconds(self, length: int) -> float | None:
         """The lag that explains the newest `length` readings, s; None unless it does so far better than no
         lag and than a drive without effect."""
-        most = round(_MAX_LAG / self._period)
+        most = round(_LAG.most / self._period)
         size = max(length, self._sum)
         if len(self._past) < most + size + self._sum:
             return None
-        seen, drive = np.array(self._past).T
+        movements, drive = np.array(self._past).T
         kernel = np.ones(self._sum)
-        seen = np.convolve(seen, kernel, "valid")[-size:]
+        movements = np.convolve(movements, kernel, "valid")[-size:]
         drive = np.convolve(drive, kernel, "valid")[-size - most :]
-        late = [float(np.sum((seen - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
+        late = [float(np.sum((movements - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
         best = int(np.argmin(late))
-        dead = float(np.sum(seen**2))
-        if not _MIN_LAG / self._period <= best < most or late[best] > _FAR_BETTER * min(late[0], dead):
+        dead = float(np.sum(movements**2))
+        if not _LAG.least / self._period <= best < most or late[best] > _LAG.far_better * min(late[0], dead):
             return None
         return best * self._period

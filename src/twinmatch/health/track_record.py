@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,16 +23,27 @@ from twinmatch.signals import FloatArray
 
 HORIZONS: Final = (3, 6, 12)
 """How far ahead the output is forecast, blocks: as long as a change shows before it is reported."""
-_EVERY: Final = 3
-"""Spacing of the forecasts, blocks."""
-_COUNTED_AFTER: Final = 5
-"""Forecasts after which one counts: by then a change that it shows has been reported."""
+
+
+@dataclass(frozen=True)
+class _Scoring:
+    """How forecasts of blocks are scored."""
+
+    every: int = 3
+    """Spacing of the forecasts, blocks."""
+    counted_after: int = 5
+    """Forecasts after which one counts: by then a change that it shows has been reported."""
+    prior: float = 4.0
+    """Number of forecasts as good as expected that are assumed in the beginning."""
+    most: float = 25.0
+    """Most that one squared error counts, in its expected size: one outlier alone says little."""
+
+
+_SCORING: Final = _Scoring()
+
+
 _KEPT: Final = 1.0 - 1.0 / 120.0
 """What a forecast leaves of the sums before: the memory is an hour of a plant as fast as the rig."""
-_PRIOR: Final = 4.0
-"""Number of forecasts as good as expected that are assumed in the beginning."""
-_MOST: Final = 25.0
-"""Most that one squared error counts, in its expected size: one outlier alone says little."""
 
 
 class _Outcome(NamedTuple):
@@ -53,9 +65,9 @@ class TrackRecord:
         self._tracker = tracker
         self._noise = tracker.parameters.model.plant.output.noise
         self._waiting: deque[_Outcome] = deque()
-        self._relative = np.full(len(HORIZONS), _PRIOR)
-        self._weight = _PRIOR
-        self._squares = np.full(len(HORIZONS), 3.0 * _PRIOR)
+        self._relative = np.full(len(HORIZONS), _SCORING.prior)
+        self._weight = _SCORING.prior
+        self._squares = np.full(len(HORIZONS), 3.0 * _SCORING.prior)
         self._records = [Record()] * len(HORIZONS)
 
     @property
@@ -83,12 +95,12 @@ class TrackRecord:
     def push(self, blocks: Sequence[Block], count: int, level: int, *, newcomer: bool) -> None:
         """Forecast the newest blocks from the belief before them, at a level; a newcomer's forecasts count at
         once. `count`: blocks so far."""
-        if len(blocks) <= HORIZONS[-1] or count % _EVERY:
+        if len(blocks) <= HORIZONS[-1] or count % _SCORING.every:
             return
         outcome = self._outcome(list(blocks)[-HORIZONS[-1] - 1 :], level)
         if outcome is not None:
             self._waiting.append(outcome)
-        while self._waiting and (newcomer or len(self._waiting) > _COUNTED_AFTER):
+        while self._waiting and (newcomer or len(self._waiting) > _SCORING.counted_after):
             self._count(self._waiting.popleft())
 
     def _count(self, outcome: _Outcome) -> None:
@@ -106,12 +118,12 @@ class TrackRecord:
             return None
         belief = blocks[0].before[level]
         begun = 0
-        found = []
+        outcomes = []
         for horizon, after in zip(HORIZONS, came, strict=True):
             belief, _ = self._tracker.run(belief, joined(blocks[begun:horizon]).unseen, level)
             expected, variance = self._tracker.expected(belief, after.disturbances[0], after.input[:1])
             error = after.output[2] - expected
             begun = horizon
-            relative = min(error**2 / (variance + after.noise[0] ** 2), _MOST)
-            found.append((relative, error, after.output[2] - last))
-        return _Outcome(*np.array(found).T)
+            relative = min(error**2 / (variance + after.noise[0] ** 2), _SCORING.most)
+            outcomes.append((relative, error, after.output[2] - last))
+        return _Outcome(*np.array(outcomes).T)

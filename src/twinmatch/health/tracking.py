@@ -14,27 +14,39 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import BoolArray, FloatArray, Sample
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Levels of assumed model error, in units of that of a real rig."""
-_BLIND: Final = 4
-"""Level from which on the equations explain so little that no change can be detected."""
+
+
+@dataclass(frozen=True)
+class _LevelChoice:
+    """How the level of model error is chosen by which changes are judged."""
+
+    blind: int = 4
+    """Level from which on the equations explain so little that no change can be detected."""
+    wait: int = 12
+    """Blocks after which the cost of a block counts for the choice of the level."""
+    forget: int = 180
+    """Blocks over which the cost of a level is averaged."""
+    clearly: float = 3.0
+    """Nats that a smaller level must save to be preferred."""
+    lost: float = 12.0
+    """Nats by which a level may fall behind the next before it adopts the next one's belief, and the
+    cost."""
+    careful: int = 5
+    """Blocks after which the assumed error is lowered by one level: while the plant is still unknown, a
+    filter's belief is too confident."""
+
+
+_CHOICE: Final = _LevelChoice()
+
+
 _BLOCK: Final = 10.0
 """Length of a block, s."""
 REACH: Final = 48
 """Blocks after which a change can no longer be detected."""
-_WAIT: Final = 12
-"""Blocks after which the cost of a block counts for the choice of the level."""
-_FORGET: Final = 180
-"""Blocks over which that cost is averaged."""
-_CLEARLY: Final = 3.0
-"""Nats that a smaller level must save to be preferred."""
-_LOST: Final = 12.0
-"""Nats by which a level may fall behind the next before it adopts the next one's belief, and the cost."""
-_CAREFUL: Final = 5
-"""Blocks after which the assumed error is lowered by one level: while the plant is still unknown, a filter's
-belief is too confident."""
 _SECOND: Final = 1.954
 """Mean size of the second difference of white noise, in its standard deviation."""
 
@@ -122,18 +134,22 @@ class TrackedBlocks:
         if len(self._samples) < self.size:
             return None
         y = np.array([*self._last, *(s.output for s in self._samples)])
-        seen = np.array([s.seen for s in self._samples])
-        read = y.copy()
-        read[2:][~seen] = math.nan
-        for size in np.abs(read[2:] - 2 * read[1:-1] + read[:-2]).tolist():
-            if not math.isnan(size):
-                self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
+        is_read = np.array([s.seen for s in self._samples])
+        self._learn_roughness(y, is_read)
         self._last = [float(y[-2]), float(y[-1])]
         u = np.array([s.input for s in self._samples])
         model = self.tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
         noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
-        return Readings(y, u, rows.reshape(u.size, -1), np.where(seen, noise, math.inf))
+        return Readings(y, u, rows.reshape(u.size, -1), np.where(is_read, noise, math.inf))
+
+    def _learn_roughness(self, y: FloatArray, is_read: BoolArray) -> None:
+        """Average the sizes of the second differences of readings that count; two readings precede them."""
+        read = y.copy()
+        read[2:][~is_read] = math.nan
+        for size in np.abs(read[2:] - 2 * read[1:-1] + read[:-2]).tolist():
+            if not math.isnan(size):
+                self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
 
     def take(self, stretch: Readings, traces: Traces, *, settled: bool) -> None:
         """Track a block; the level is kept if `settled`."""
@@ -147,13 +163,13 @@ class TrackedBlocks:
             )
         elif self._gap:
             beliefs = (self.tracker.again(b, first.output, first.input, row) for b in self._beliefs)
-            at, spread = self._opening or (0, 0.0)
-            self._beliefs = tuple(b.opened(at, 0.0, spread) for b in beliefs)
+            number, spread = self._opening or (0, 0.0)
+            self._beliefs = tuple(b.opened(number, 0.0, spread) for b in beliefs)
             self._opening = None
         self._gap = False
         after = []
         costs = []
-        careful = len(LEVELS) - 1 - self.known // _CAREFUL
+        careful = len(LEVELS) - 1 - self.known // _CHOICE.careful
         for level, belief in enumerate(self._beliefs):
             watched = traces if level == self.level else None
             following, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
@@ -180,24 +196,24 @@ class TrackedBlocks:
         for level in reversed(range(len(LEVELS) - 1)):
             behind = self._behind[level] + costs[level] - costs[level + 1]
             self._behind[level] = max(behind, 0.0)
-            if behind > _LOST:
+            if behind > _CHOICE.lost:
                 after[level] = after[level + 1]
-                costs[level] += _LOST
+                costs[level] += _CHOICE.lost
                 self._behind[level] = 0.0
 
     def _choose(self) -> bool:
         """Choose the level that the samples support plus one for safety; return whether it changed."""
-        if len(self.blocks) <= _WAIT:
+        if len(self.blocks) <= _CHOICE.wait:
             return False
-        self._counted = min(self._counted + 1, _FORGET)
-        self._costs += (np.array(self.blocks[-_WAIT - 1].costs) - self._costs) / self._counted
+        self._counted = min(self._counted + 1, _CHOICE.forget)
+        self._costs += (np.array(self.blocks[-_CHOICE.wait - 1].costs) - self._costs) / self._counted
         total = self._costs * self._counted
-        best = int(np.flatnonzero(total <= total.min() + _CLEARLY)[-1])
+        best = int(np.flatnonzero(total <= total.min() + _CHOICE.clearly)[-1])
         before = self.level
         level = min(best + 1, len(LEVELS) - 1)
-        if self._counted >= _WAIT:
+        if self._counted >= _CHOICE.wait:
             self.level = level
-            self.blind = best >= _BLIND
+            self.blind = best >= _CHOICE.blind
         return self.level != before
 
 

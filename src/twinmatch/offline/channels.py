@@ -92,6 +92,12 @@ def channel_health(
         if watch is not None and count % EVERY == 0:
             watch(count, len(session.samples))
     return ChannelHealth(
-        session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course,
+        session.name,
+        plant,
+        session.period,
+        len(session.samples),
+        unjudged,
+        tuple(monitor.alarms),
+        course,
         courses_of(estimates, plant),
-    )  # fmt: skip
+    )

@@ -22,9 +22,9 @@ class EstimatedCourse:
     first: int
     """First sample."""
     wide: float
-    """Half width of a band up to which the estimate is good …"""
+    """Half width of a band up to which the estimate is good."""
     good: float
-    """… and for how long it was to be that, s; at most an hour is looked ahead."""
+    """For how long the estimate was to be good, s; at most an hour is looked ahead."""
     values: list[float] = field(default_factory=list)
     bands: list[float] = field(default_factory=list)
     """Half of the width that holds 90 % of what it would have read."""

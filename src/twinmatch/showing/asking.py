@@ -34,9 +34,9 @@ TOPICS: Final[Mapping[str, str]] = {TWIN: "twin/law", CONTROLLER: "plant/law"}
 """A topic that each of them publishes: its publisher tells a node from the one that replaces it."""
 NOTHING_DRIVES: Final = "nothing drives: without its commands the bridge puts the output at zero"
 ENDS: Final = {ExperimentPhase.DECIDED: 0, ExperimentPhase.ENDED: 3, ExperimentPhase.REFUSED: 1}
-"""Exit codes of experiments …"""
+"""Exit codes of experiments."""
 DECISIONS: Final = {"safe": 0, "fails": 1, "undecided": 3}
-"""… and of answers about a law."""
+"""Exit codes of answers about a law."""
 
 
 class Asking(TwinmatchNode):
