@@ -120,8 +120,10 @@ def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarra
     if room is not None:
         columns["Room (degC)"] = room
     path = folder / "log.csv"
-    rows = "\n".join(",".join(f"{v:.4f}" for v in row) for row in zip(*columns.values(), strict=True))
-    path.write_text(",".join(columns) + "\n" + rows + "\n")
+    lines = [",".join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        lines.append(",".join(f"{value:.4f}" for value in row))
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 

@@ -427,7 +427,11 @@ def test_state_space_models_are_converted_exactly(seed: int, order: int) -> None
     column = column_of(A, B, C, D)
     s = 1.75
     resolvent = s * np.eye(order) - A
-    values = [sum(c * s**k for k, c in enumerate(p)) for p in column]
+
+    def value(polynomial: list[int]) -> float:
+        return sum(c * s**k for k, c in enumerate(polynomial))
+
+    values = [value(polynomial) for polynomial in column]
     determinant = np.linalg.det(resolvent) if order else 1.0
     if abs(determinant) > 1e-6:
         response = C @ np.linalg.solve(resolvent, B) + D

@@ -93,16 +93,21 @@ def symbol(fractions: list[Any], discrete: bool) -> GraphSymbol:
     return GraphSymbol.of_transfer_functions(fractions, 1.0 if discrete else 0.0)
 
 
+def exact(polynomial: np.ndarray) -> list[Any]:
+    """Its coefficients, which are floats, with 40 digits."""
+    return [mp.mpf(float(c)) for c in polynomial]
+
+
 def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> Any:
     """40 digits: roots for stability, ‖[P; 1](1 + CP)⁻¹[1 C]‖ sampled and refined for the margin."""
     common_p = plant[0][1]
     common_c = controller[0][1]
-    exact = [[mp.mpf(float(c)) for c in p] for p in (common_p, common_c)]
-    terms = [product(*exact)]
+    terms = [product(exact(common_p), exact(common_c))]
     for (n, _), (m, _) in zip(plant, controller, strict=True):
-        terms.append(product([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in m]))
+        terms.append(product(exact(n), exact(m)))
     width = max(map(len, terms))
-    loop = [mp.fsum(cs) for cs in zip(*([mp.mpf(0)] * (width - len(t)) + t for t in terms), strict=True)]
+    of_one_length = [[mp.mpf(0)] * (width - len(t)) + t for t in terms]
+    loop = [mp.fsum(coefficients) for coefficients in zip(*of_one_length, strict=True)]
     if loop[0] == 0:
         return mp.mpf(0)
     roots = mp.polyroots(loop, maxsteps=500, extraprec=400) if len(loop) > 1 else []
@@ -112,7 +117,8 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
     def margin(t: Any, exp: Any = mp.exp, polyval: Any = lambda p, x: mp.polyval(list(p), x)) -> Any:
         s = 1j * exp(t)
         x = (1 + s) / (1 - s) if discrete else s
-        p, c = ([polyval(n, x) / polyval(d, x) for n, d in part] for part in (plant, controller))
+        p = [polyval(n, x) / polyval(d, x) for n, d in plant]
+        c = [polyval(n, x) / polyval(d, x) for n, d in controller]
         sizes = (1 + sum(abs(v) ** 2 for v in p)) * (1 + sum(abs(v) ** 2 for v in c))
         return abs(1 + sum(v * w for v, w in zip(p, c, strict=True))) / sizes**0.5
 

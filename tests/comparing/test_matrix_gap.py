@@ -242,7 +242,7 @@ def test_a_pole_at_minus_one_has_a_place() -> None:
         first, second = (
             StateSpace(np.diag(poles), np.eye(2), k * np.eye(2), np.zeros((2, 2)), 1.0) for k in (1.0, 1.3)
         )
-        exact = max(nu_gap(*(space([k], [1, -pole], 1.0) for k in (1.0, 1.3))) for pole in poles)
+        exact = max(nu_gap(space([1.0], [1, -pole], 1.0), space([1.3], [1, -pole], 1.0)) for pole in poles)
         assert matrix_nu_gap(first, second) == pytest.approx(exact, abs=1e-9)
 
 
@@ -359,21 +359,19 @@ def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
         pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
     recorded = {name: np.array(value, dtype=float) for name, value in json.loads(path.read_text()).items()}
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     kit = fit_session(TCLabBoth.model(), Window(np.zeros_like(y), y, u)).parameters
     draws = [dict.fromkeys(("losses", "heating", "second_heating"), factor) for factor in (0.95, 1.05)]
     draws += [{"exchange": 0.9, "sensor_lag": 1.1}, {"exchange": 1.1, "sensor_lag": 0.9}]
     operating_point = recorded["y0"].ravel()
-    plant, *family = (
-        StateSpace.of(
-            linearised(
-                kit.replace(**{name: factor * kit[name] for name, factor in draw.items()}),
-                operating_point,
-                1.0,
-            )
-        )
-        for draw in ({}, *draws)
-    )
+
+    def linear(factors: dict[str, float]) -> StateSpace:
+        drawn = kit.replace(**{name: factor * kit[name] for name, factor in factors.items()})
+        return StateSpace.of(linearised(drawn, operating_point, 1.0))
+
+    plant = linear({})
+    family = [linear(factors) for factors in draws]
     controller = lqg(recorded)
     assert is_stable(plant, controller)
     spans = matrix_margin(plant.scaled([22.5] * 2, [50] * 2), controller.scaled([50] * 2, [22.5] * 2))

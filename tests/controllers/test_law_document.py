@@ -32,7 +32,9 @@ def test_the_regulator_of_a_real_kit_gives_the_commands_that_it_gave() -> None:
     rows = kit_rows("tclab_2x2", "closed_loop_lqg")
     document = json.loads((OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json").read_text("utf-8"))
     law = law_from(document, Heaters, 1.0)
-    r, y, u = (np.array([[row[f"{s}1"], row[f"{s}2"]] for row in rows]) for s in ("SP", "T", "Q"))
+    r = np.array([[row["SP1"], row["SP2"]] for row in rows])
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     commands, _ = commands_of(law.code, np.zeros(4), r, y)
     np.testing.assert_allclose(commands, u, atol=7e-4)
 

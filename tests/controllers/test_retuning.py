@@ -25,11 +25,12 @@ LEVEL = 4.0
 
 def twins(truth: Parameters, number: int, spread: float, seed: int) -> list[TriedTwin]:
     rng = np.random.default_rng(seed)
-    variants = [
-        truth.replace(**{n: truth[n] * np.exp(spread * rng.standard_normal()) for n in ("gain", "lag")})
-        for _ in range(number)
-    ]
-    return [TriedTwin(str(k), variant) for k, variant in enumerate(variants)]
+    variants = []
+    for k in range(number):
+        gain, lag = np.exp(spread * rng.standard_normal(2))
+        variant = truth.replace(gain=truth["gain"] * gain, lag=truth["lag"] * lag)
+        variants.append(TriedTwin(str(k), variant))
+    return variants
 
 
 def found(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retuned:

@@ -59,7 +59,8 @@ def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
         y += noise[k]
         law_step(law, z, references, k, y, u, after)
         z[:] = after
-        both[0, k], both[1, k] = y[0], u[0]
+        both[0, k] = y[0]
+        both[1, k] = u[0]
         tick(code, states, u, usual, work, period, steps)
     return both
 

@@ -157,8 +157,8 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
 def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:
     start = np.array([0.5, 0.5])
     bounds = np.array([[0.0, 1.0], [0.2, 2.0]])
-    kinds = [
-        [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
-        for low, high in (bounds.T, bounds.T.copy())
-    ]
-    assert kinds[0] == kinds[1]
+
+    def layouts(low: np.ndarray, high: np.ndarray) -> list[bool]:
+        return [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
+
+    assert layouts(*bounds.T) == layouts(*bounds.T.copy())

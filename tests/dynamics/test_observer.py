@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
+    Model,
     Observer,
     ObserverBank,
     Parameters,
@@ -111,13 +112,14 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
         np.diag(np.square([*drift, *slow])) * period,
     )
     loads = np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
+    second_share = -0.5 if drive.limits[0] < 0 else 0.5
     for k in range(80):
         row = loads[k] if model.disturbances.size else None
         reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
         expected = textbook.correct(reading, row)
         correction = np.ravel(observer.correct(reading, row))
         np.testing.assert_allclose(correction, expected, rtol=1e-4, atol=1e-6)
-        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else (-0.5 if drive.limits[0] < 0 else 0.5))
+        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else second_share)
         states = advance(base, states, u, period, row)
         observer.predict(u)
         textbook.predict(u, period, row)
@@ -265,14 +267,14 @@ def test_it_continues_in_the_middle_of_a_session() -> None:
 
 def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
     """Structures with one and with two states, readings that are lost, and one that no plant can give."""
+
+    def new_observer(model: Model) -> Observer:
+        n = len(model.states)
+        return Observer(model.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
+
     models = (Peltier.model("held sink"), MASSIVE)
-    alone, together = (
-        [
-            Observer(m.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
-            for n, m in enumerate(models, 1)
-        ]
-        for _ in range(2)
-    )
+    alone = [new_observer(model) for model in models]
+    together = [new_observer(model) for model in models]
     bank = ObserverBank(together)
     rng = np.random.default_rng(3)
     for k in range(60):

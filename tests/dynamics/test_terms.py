@@ -140,9 +140,10 @@ def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
     states = sympy.symbols(f"z:{order}")
     u = sympy.Symbol("u")
     line = DelayLine(tuple(states)).after(u, theta)
-    a = np.array([[float(line.rates[x].diff(z)) for z in states] for x in states])
-    b = np.array([[float(line.rates[x].diff(u))] for x in states])
-    c = np.array([[float(sympy.sympify(line.value).diff(z)) for z in states]])
+    rates = sympy.Matrix([line.rates[x] for x in states])
+    a = np.array(rates.jacobian(states)).astype(float)
+    b = np.array(rates.jacobian([u])).astype(float)
+    c = np.array(sympy.Matrix([line.value]).jacobian(states)).astype(float)
     ours = control.ss(a, b, c, [[0.0]])
     theirs = control.tf(*control.pade(theta, order, numdeg=order - 1))
     frequencies = np.logspace(-2, 1, 30) / theta

@@ -198,7 +198,8 @@ def test_bounds_are_named(record: Recorder) -> None:
 
 def test_a_value_far_from_its_bound_is_not_on_it_however_wide_the_bounds_are(record: Recorder) -> None:
     posed = problem(record(TRUTH))
-    posed.lower[:], posed.upper[:] = 1e-9, 1e6
+    posed.lower[:] = 1e-9
+    posed.upper[:] = 1e6
     assert on_bounds(posed, np.array([0.075, 0.6, 30.0])) == ()
     assert on_bounds(posed, np.array([1e-9, 0.6, 1e6])) == (posed.names[0], posed.names[2])
 

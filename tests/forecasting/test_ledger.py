@@ -319,7 +319,10 @@ def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample],
         u = float(pid.step(reference, y)[0]) if gains else random.uniform(-1.0, 1.0)
         samples.append(Sample(k, 0, reference, y, u, (room,)))
         states.append(pid.state)
-        y, y_before, u_before = plant(y, y_before, u, u_before, room), y, u
+        y_next = plant(y, y_before, u, u_before, room)
+        y_before = y
+        u_before = u
+        y = y_next
     return samples, states
 
 
@@ -425,11 +428,10 @@ def test_older_samples_weigh_less() -> None:
     for k, s in enumerate(samples):
         factor = 2.0 if k >= 200 else 1.0
         doubled.append(Sample(k, 0, 0.0, y, s.input, s.disturbances))
-        y, y_before, u_before = (
-            plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0]),
-            y,
-            s.input,
-        )
+        y_next = plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0])
+        y_before = y
+        u_before = s.input
+        y = y_next
     slopes = [
         fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)
     ]

@@ -73,7 +73,8 @@ def entry_of(name: str, folder: Path) -> Entry:
 
 def digest(documents: dict[str, Any]) -> Entry:
     """Digests and figures of what commands wrote, by their names."""
-    whole, parts = hashlib.sha256(), {}
+    whole = hashlib.sha256()
+    parts = {}
     for path, value in _leaves(documents):
         line = f"{'.'.join(path)} {value}\n".encode()
         whole.update(line)
@@ -191,7 +192,10 @@ def _group(path: tuple[str, ...]) -> str:
 
 @cache
 def _named(keys: tuple[str, ...]) -> str:
-    return next((group for group, names in GROUPS if any(names.search(key) for key in keys)), "session")
+    for group, names in GROUPS:
+        if any(names.search(key) for key in keys):
+            return group
+    return "session"
 
 
 def _figures(documents: dict[str, Any]) -> dict[str, Any]:
@@ -203,7 +207,9 @@ def _figures(documents: dict[str, Any]) -> dict[str, Any]:
 
 
 def _replay_figures(document: dict[str, Any]) -> dict[str, Any]:
-    summary, verdicts, matches = document["summary"], document["verdicts"], document["matches"]
+    summary = document["summary"]
+    verdicts = document["verdicts"]
+    matches = document["matches"]
     return {
         "verdicts": len(verdicts),
         "matches": len(matches),
@@ -231,13 +237,11 @@ def _report_figures(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forecast_figures(document: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        f"at {forecast['sample']}": [
-            forecast["candidate"],
-            *(forecast["y"][edge][-1] for edge in ("low", "mean", "high")),
-        ]
-        for forecast in document
-    }
+    figures = {}
+    for forecast in document:
+        at_end = [forecast["y"][edge][-1] for edge in ("low", "mean", "high")]
+        figures[f"at {forecast['sample']}"] = [forecast["candidate"], *at_end]
+    return figures
 
 
 FIGURES: Final[dict[str, Callable[[Any], dict[str, Any]]]] = {

@@ -18,14 +18,15 @@ from twinmatch.signals import Window
 from twinmatch.twin import Mirror, Twin, filled_stretches, window_fit
 
 
+def equal(a: Window, b: Window) -> bool:
+    """Whether these are the same window, bit for bit."""
+    same_samples = (a.first, a.lost) == (b.first, b.lost)
+    return same_samples and np.array_equal(a.output, b.output) and np.array_equal(a.input, b.input)
+
+
 def same(some: Sequence[Window], others: Sequence[Window]) -> bool:
     """Whether these are the same windows, bit for bit."""
-    pairs = zip(some, others, strict=True)
-    return all(
-        (a.first, a.lost) == (b.first, b.lost)
-        and all(np.array_equal(x, y) for x, y in zip((a.output, a.input), (b.output, b.input), strict=True))
-        for a, b in pairs
-    )
+    return all(equal(a, b) for a, b in zip(some, others, strict=True))
 
 
 def test_one_spike_changes_no_fit_and_no_stretch() -> None:

@@ -101,7 +101,8 @@ def test_a_real_kit_is_forecast_better_than_by_a_vector_arx() -> None:
     over the rest. Others got 0.14 K after 10 s, and for ARX and a twin 0.41 to 0.47 and 0.36 to 0.43 K after
     60 s, 0.91 to 0.95 and 0.71 to 0.75 K after 300 s."""
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     cut = 3 * len(rows) // 5
     session = Window(np.zeros_like(y), y, u)
     fitted = fit_session(TCLabBoth.model(), session.part(0, cut - 1))

@@ -148,12 +148,12 @@ def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> l
 @pytest.mark.parametrize("samples", [5, 60])
 def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
     """Sample by sample. No fault is named on the healthy plants."""
-    figures_by_plant = [
-        [(v.sample, v.level, v.nominal, v.leader) for v in watched(plant, lag, samples)]
-        for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK))
-    ]
-    assert figures_by_plant[0] == figures_by_plant[1]
-    levels = {level for _, level, *_ in figures_by_plant[0]}
+    verdicts = watched(Lag, 5.0, samples)
+    slow_verdicts = watched(House, 5.0 * CLOCK, samples)
+    for verdict, slow in zip(verdicts, slow_verdicts, strict=True):
+        assert (verdict.sample, verdict.level) == (slow.sample, slow.level)
+        assert (verdict.nominal, verdict.leader) == (slow.nominal, slow.leader)
+    levels = {verdict.level for verdict in verdicts}
     assert TrustLevel.TRUSTED in levels
     assert TrustLevel.FAULT not in levels
 

@@ -102,7 +102,8 @@ def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
     fits = choices_only()
     triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
     assert any(t.excited for t in triggers)
-    choices = [c for c in (chosen(fits, t.window) for t in triggers) if c]
+    choices_or_none = [chosen(fits, trigger.window) for trigger in triggers]
+    choices = [choice for choice in choices_or_none if choice]
     assert len(choices) == 3
     for choice in choices:
         first, last = choice.samples

@@ -59,7 +59,8 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
 
 def test_readings_outside_their_band_are_not_level() -> None:
     values = np.full((1, 60), 20.0)
-    values[0, 30], values[0, 59] = 22.0, 19.5
+    values[0, 30] = 22.0
+    values[0, 59] = 19.5
     check = check_band(forecast(20.0, 1.0), values, None)
     assert check.inside_y == pytest.approx(59 / 60)
     assert (check.low, check.high, check.last) == (19.5, 20.0, 19.5)
@@ -67,7 +68,8 @@ def test_readings_outside_their_band_are_not_level() -> None:
 
 def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
     values = np.full((1, 60), 20.0)
-    values[0, 30], values[0, 59] = 120.0, -40.0
+    values[0, 30] = 120.0
+    values[0, 59] = -40.0
     counted = np.abs(values[0] - 20.0) < 1.0
     check = check_band(forecast(20.0, 1.0), values, None, counted)
     assert (check.miss, check.inside_y, check.low, check.high, check.last) == (0.0, 1.0, 20.0, 20.0, 20.0)

@@ -216,7 +216,8 @@ def test_work_is_done_even_if_the_second_process_dies() -> None:
     with pool(1) as second:
         work = Beside(second)
         second_pid = second.submit(os.getpid).result()
-        assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), second_pid}
+        results = [work.give(os.getpid) for _ in range(20)]
+        assert {result() for result in results} <= {os.getpid(), second_pid}
         with pytest.raises(BrokenProcessPool):
             second.submit(os._exit, 1).result()
         assert work.give(os.getpid)() == os.getpid()
@@ -269,7 +270,8 @@ def test_nothing_found_is_said(tree: Path, name: str, words: str) -> None:
 
 def test_one_session_is_distinguished_from_many(tree: Path) -> None:
     assert all(is_single([tree / name]) for name in ("b", "c/y.csv", "absent", "d[1].csv"))
-    assert not any(is_single([tree / n for n in names.split()]) for names in (".", "b a", "*"))
+    for names in (".", "b a", "*"):
+        assert not is_single([tree / name for name in names.split()]), names
 
 
 RECORD = {"session": "run", "fit": 0.25, "note": "°C"}

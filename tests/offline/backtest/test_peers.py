@@ -20,7 +20,7 @@ from twinmatch.fitting import fit_structure
 from twinmatch.forecasting import Arx, ArxForecast, baselines
 from twinmatch.forecasting.baselines import MAX_ORDER
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import Choices, Listener, graded
+from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import Incubator, Peltier
 from twinmatch.signals import FloatArray, Sample, Window
@@ -137,6 +137,12 @@ RECORDED = {
 }
 
 
+def errors_at(tested: Backtest, who: str, horizon: float) -> dict[int, float]:
+    """The errors of a forecaster at a horizon, by the sample that it forecasts from."""
+    marked = [m for m in tested.marked if (m.who, m.horizon) == (who, horizon)]
+    return {m.sample: m.marks.error for m in marked}
+
+
 @pytest.mark.parametrize("name", RECORDED)
 def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: Path) -> None:
     """On other people's plants: where both have compared, their ratios of ARX to the leader differ by less
@@ -159,15 +165,11 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     skills = next(score for score in forecaster.scores if score.name == forecaster.leader).arx_skill
     compared = 0
     for horizon, skill in zip(tested.horizons, skills, strict=True):
-        errors = {
-            competitor: {
-                m.sample: m.marks.error for m in tested.marked if (m.who, m.horizon) == (competitor, horizon)
-            }
-            for competitor in ("leader", "ARX")
-        }
-        if len(errors["leader"]) < 8 or np.isnan(skill):
+        leader_errors = errors_at(tested, "leader", horizon)
+        arx_errors = errors_at(tested, "ARX", horizon)
+        if len(leader_errors) < 8 or np.isnan(skill):
             continue
-        ratios = [errors["ARX"][k] / errors["leader"][k] for k in errors["leader"]]
+        ratios = [arx_errors[sample] / error for sample, error in leader_errors.items()]
         assert abs(np.log(np.exp(np.mean(np.log(ratios))) * (1.0 - skill))) < np.log(2.0)
         compared += 1
     assert compared or name == "one heater"

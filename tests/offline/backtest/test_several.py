@@ -122,7 +122,8 @@ def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
     """Others got 0.36 to 0.43 K and 0.71 to 0.75 K after 60 and 300 s; for ARX 0.41 to 0.47 and 0.91 to
     0.95 K."""
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     kit_session = session(Window(np.zeros_like(y), y, u))
     tests = backtest_each(kit_session, TCLabBoth, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
 
