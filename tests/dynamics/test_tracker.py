@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
-from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker, no_traces
+from twinmatch.dynamics.tracker import Assumed, Belief, TrackedCourse, Tracker, no_traces
 
 PERIOD = 1.0
 NOISE = 0.01
@@ -86,7 +86,7 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
     drift = lag_tracker.drifts[1].each[0] ** 2 * PERIOD
     swift = lag_tracker.drifts[1].swift
     fading = 0.0
-    fade = lag_tracker._fixed.keeps[lag_tracker.fading]
+    fade, _ = Assumed.of(p, PERIOD).keeps
     strays = lag_tracker.drifts[1].each[lag_tracker.fading] ** 2 * PERIOD
     state = np.zeros(2)
     push = np.array([1.0, 0.0])

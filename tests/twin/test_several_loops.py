@@ -155,10 +155,9 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -
         newest_estimates = {estimate.signal: estimate.value for estimate in outcome.estimates}
         states = advance(truth, states, np.array(sample.inputs), 1.0)
         if newest_estimates:
-            followed = [twin.discriminator.forecaster for twin in (informed, plain)]
-            for forecaster in followed:
-                forecaster._catch_up()
-            errors.append([abs(follower._controller[0] - loop._pids[0].state[0]) for follower in followed])
+            integral = loop._pids[0].state[0]
+            followed = [twin.discriminator.forecaster.arx.controller[0] for twin in (informed, plain)]
+            errors.append([abs(followed_integral - integral) for followed_integral in followed])
     assert len(errors) > 150
     assert informed.discriminator._stood_in == 1099
     informed.push(Sample(0, 0, sample.references, sample.outputs, sample.inputs))  # of another session

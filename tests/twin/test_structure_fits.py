@@ -15,6 +15,7 @@ from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule, StructureFits, watched
+from twinmatch.twin.structure_fits import NewestSamples
 from twinmatch.twin.structures import StructureChoice
 
 PLAIN = Peltier.model().parameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
@@ -122,11 +123,13 @@ def test_stand_ins_are_not_fitted_wherever_windows_were_joined(hour: Window) -> 
             replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s
             for s in samples_of(hour.part(0, 599))
         ]
+        joined = NewestSamples(len(samples))
         for first in (0, 200, 400):
-            fits.push(Window.from_samples(samples[max(first - 50, 0) : first + 200]), excited=True)
-        fitted_window = fits._fitted.window
-        assert fitted_window is not None
-        assert fitted_window.lost == sorted(lost)
+            window = Window.from_samples(samples[max(first - 50, 0) : first + 200])
+            fits.push(window, excited=True)
+            joined.push(window)
+        assert joined.window is not None
+        assert joined.window.lost == sorted(lost)
         candidates.append([(c.name, c.parameters) for c in fits.candidates])
     assert candidates[0]
     assert candidates[0] == candidates[1]

@@ -9,8 +9,10 @@ from itertools import cycle
 import numpy as np
 import pytest
 
+from tests.support.watched import copied
 from twinmatch.comparing import Candidate, TrustLevel, Verdict
-from twinmatch.dynamics import Controller, advance, begin, read
+from twinmatch.dynamics import Controller, Parameters, advance, begin, read
+from twinmatch.health import Health
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
@@ -204,7 +206,7 @@ def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
 
 
 def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
-    simulated_session: list[Sample], simulated_outcomes: list[Outcome]
+    simulated_session: list[Sample], simulated_outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An alarm that begins in the past takes back what was admitted since; until then, a second run gives the
     same verdicts to the last bit."""
@@ -212,20 +214,29 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     verdicts = verdicts_of([twin.push(s) for s in simulated_session])
     assert repr(verdicts) == repr(verdicts_of(simulated_outcomes))
     judge = twin.discriminator
+    monitor = judge.monitor
     newest = max(verdicts[-1].candidates, key=lambda c: c.last)
     last = simulated_session[-1]
     # A reading no plate can have, in a session whose index continues: the alarm starts at that very sample.
     broken = dataclasses.replace(last, index=last.index + 1, outputs=400.0)
-    verdict = judge.push_sample(broken).verdicts[-1]
+    verdict = copied(judge).push_sample(broken).verdicts[-1]
     assert verdict.fault == "sensor-implausible"
     assert newest.name in {c.name for c in verdict.candidates}
+
     # The same alarm, reaching back into the newest candidate's window.
-    alarm = dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3, spoils=True)
-    gone = judge._remove_spoilt(alarm)
-    assert newest.name in gone
+    def alarmed(sample: Sample, twin: Parameters | None) -> Health:
+        health = type(monitor).push(monitor, sample, twin)
+        if health.news is None:
+            return health
+        reaching_back = dataclasses.replace(health.news, first=newest.last - 3, spoils=True)
+        return dataclasses.replace(health, news=reaching_back)
+
+    monkeypatch.setattr(monitor, "push", alarmed)
+    verdict = judge.push_sample(broken).verdicts[-1]
+    assert newest.name not in {c.name for c in verdict.candidates}
     assert judge.nominal is not None
-    after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))
     assert judge.nominal.name != newest.name
+    after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))
     assert not after.verdicts
     assert after.request is None
 
