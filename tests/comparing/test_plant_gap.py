@@ -72,11 +72,11 @@ def plates() -> st.SearchStrategy[Parameters]:
     return held_sink | massive
 
 
-def brute_force(one: Parameters, other: Parameters, point: float) -> float:
+def brute_force(first: Parameters, second: Parameters, point: float) -> float:
     """Largest chordal distance on a grid of frequencies, the plants from differences of single ticks."""
     scale = 255.0 / 35.0
     z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 20_000)]))
-    p, q = (scale * tick_response(twin, point, z) for twin in (one, other))
+    p, q = (scale * tick_response(twin, point, z) for twin in (first, second))
     return float(np.max(np.abs(p - q) / np.sqrt((1 + np.abs(p) ** 2) * (1 + np.abs(q) ** 2))))
 
 
@@ -122,12 +122,12 @@ def test_it_is_a_metric(twins: list[Parameters], points: set[float]) -> None:
 @settings(max_examples=20, deadline=None)
 @given(plates(), plates(), st.floats(0.01, 100.0))
 def test_it_does_not_depend_on_order_or_common_units(
-    one: Parameters, other: Parameters, factor: float
+    first: Parameters, second: Parameters, factor: float
 ) -> None:
-    gap = plant_gap(one, other, POINTS, TERMS)
-    assert plant_gap(other, one, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
+    gap = plant_gap(first, second, POINTS, TERMS)
+    assert plant_gap(second, first, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
     scaled = LoopConditions(GAINS, Scales(35.0 * factor, 255.0 * factor))
-    assert plant_gap(one, other, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
+    assert plant_gap(first, second, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
 
 
 @settings(max_examples=20, deadline=None)

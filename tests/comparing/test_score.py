@@ -357,7 +357,7 @@ def test_every_field_is_filled_with_what_its_source_says() -> None:
         assert candidate.nu_gap_sum == 0.1  # what was there stays
 
 
-def other() -> str:
+def not_of_smallest_sum() -> str:
     return next(name for name in RIGS if name != smallest_sum())
 
 
@@ -373,7 +373,11 @@ def other() -> str:
             ],
         ),
         (smallest_sum, 100.0, ["the data do not decide which candidate is nominal: {0} with probability 0."]),
-        (other, 1e-4, ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"]),
+        (
+            not_of_smallest_sum,
+            1e-4,
+            ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"],
+        ),
     ],
     ids=["clear", "the data cannot tell", "against the probabilities"],
 )
@@ -382,7 +386,7 @@ def test_how_certain_the_choice_is_in_words(
 ) -> None:
     judgement = judged(nominal(), factor=factor)
     for phrase in words:
-        assert phrase.format(smallest_sum(), other()) in judgement.certainty
+        assert phrase.format(smallest_sum(), not_of_smallest_sum()) in judgement.certainty
     chosen = next(c for c in judgement.candidates if c.name == nominal())
     assert (chosen.nominal_probability >= 0.9) == ("decide" not in judgement.certainty)
 

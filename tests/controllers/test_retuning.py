@@ -35,7 +35,7 @@ def twins(truth: Parameters, number: int, spread: float, seed: int) -> list[Trie
     return variants
 
 
-def found(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retuned:
+def retuned(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retuned:
     truth = Lag.model().parameters()
     return retune(twins(truth, 2, 0.1, seed), gains, LEVEL, HOLDING, **options)  # type: ignore[arg-type]
 
@@ -90,7 +90,7 @@ def test_it_is_close_to_an_oracle_that_knows_the_plant(seed: int) -> None:
 
 
 def test_no_gain_changes_by_more_than_allowed() -> None:
-    after = found(most_change=1.5).after
+    after = retuned(most_change=1.5).after
     for name in ("proportional", "integral", "derivative"):
         assert 1 / 1.5 - 1e-9 <= getattr(after, name) / getattr(GAINS, name) <= 1.5 + 1e-9
     assert (after.back_calculation, after.low, after.high) == (1.0, -10.0, 10.0)
@@ -105,7 +105,7 @@ def travel(gains: PidGains) -> float:
 
 
 def test_a_quieter_command_costs_no_error() -> None:
-    quiet = found(aim="quiet", max_sensitivity=2.0)
+    quiet = retuned(aim="quiet", max_sensitivity=2.0)
     assert quiet.improvement > 0.03
     assert travel(quiet.after) == pytest.approx((1 - quiet.improvement) * travel(GAINS))
     case = _case(TriedTwin("true", Lag.model().parameters()), GAINS, LEVEL, HOLDING, "load")
@@ -114,17 +114,17 @@ def test_a_quieter_command_costs_no_error() -> None:
 
 
 def test_there_is_nothing_to_gain_twice() -> None:
-    once = found(most_change=4.0)
+    once = retuned(most_change=4.0)
     assert once.improvement > 0.5
     assert once.reason.startswith("the mean squared error after a load is ")
-    twice = found(gains=once.after, most_change=1.003)
+    twice = retuned(gains=once.after, most_change=1.003)
     assert (twice.after, twice.improvement) == (once.after, 0.0)
     assert twice.reason == "there is nothing to gain within M_s ≤ 1.6 and a factor of 1.003"
 
 
 def test_gains_beyond_the_ceiling_come_down() -> None:
     hot = PidGains(4.0, 0.6, 0.1, 1.0, -10.0, 10.0)
-    down = found(gains=hot, max_sensitivity=1.6, most_change=5.0)
+    down = retuned(gains=hot, max_sensitivity=1.6, most_change=5.0)
     assert down.sensitivities[0] > 2.0
     assert down.sensitivities[1] <= 1.616
     assert down.reason.startswith("M_s comes down from ")
@@ -132,8 +132,8 @@ def test_gains_beyond_the_ceiling_come_down() -> None:
 
 def test_what_it_refuses() -> None:
     with pytest.raises(ControllerError, match=r"the ceiling 0\.9 and the largest change 2 must be above 1"):
-        found(max_sensitivity=0.9)
+        retuned(max_sensitivity=0.9)
     with pytest.raises(ControllerError, match="no twin can be held at 90; "):
         retune([TriedTwin("one", Lag.model().parameters())], GAINS, 90.0, HOLDING)
     with pytest.raises(ControllerError, match="all gains of the PID are zero"):
-        found(gains=PidGains(0.0, 0.0, 0.0, 0.0, -10.0, 10.0))
+        retuned(gains=PidGains(0.0, 0.0, 0.0, 0.0, -10.0, 10.0))

@@ -120,11 +120,11 @@ TWO = pid_law(
 )  # fmt: skip
 
 
-def scaled(law: LinearLaw, channel: int, by: float) -> Linear:
-    """The plant with a command that acts `by` times as strongly."""
+def scaled(law: LinearLaw, channel: int, factor: float) -> Linear:
+    """The plant with a command that acts `factor` times as strongly."""
     plant = linearised(PLANT, POINT, law.period)
     b = plant.B.copy()
-    b[:, channel] *= by
+    b[:, channel] *= factor
     return plant._replace(B=b)
 
 
@@ -150,11 +150,11 @@ def delayed(plant: Linear, channel: int, samples: int) -> Linear:
     return plant
 
 
-@pytest.mark.parametrize(("by", "stable"), [(0.97, True), (1.03, False)])
-def test_eigenvalues_say_what_the_simulation_does(by: float, stable: bool) -> None:
+@pytest.mark.parametrize(("factor", "stable"), [(0.97, True), (1.03, False)])
+def test_eigenvalues_say_what_the_simulation_does(factor: float, stable: bool) -> None:
     """Gains at a margin, a little less and a little more: a small deviation decays, or grows as the
     eigenvalue says, over 200 samples of the compiled simulation of the nonlinear plant."""
-    up = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[0].gain_up * by
+    up = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[0].gain_up * factor
     law = pid_law(
         [FilteredPid(proportional=4.0 * up, integral=0.2 * up, derivative=6.0 * up, filter=4.0, **WIDE),
          FilteredPid(proportional=6.0, integral=0.3, weight=0.5, **WIDE)], 2.0,

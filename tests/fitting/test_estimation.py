@@ -213,14 +213,14 @@ F = np.array([1.0, -1.5, 0.7])
 TRUTH_BJ_ESTIMATION = np.concatenate((B[1:], C[1:], D[1:], F[1:]))
 
 
-def held(count: int, rng: np.random.Generator) -> FloatArray:
+def binary_signal(count: int, rng: np.random.Generator) -> FloatArray:
     """A random binary signal that holds each value for four samples."""
     return np.repeat(rng.choice([-1.0, 1.0], size=count // 4 + 1), 4)[:count]
 
 
 def recorded(count: int, seed: int, *, sigma: float = 0.3, skip: int = 0) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    u = held(count + skip, rng)
+    u = binary_signal(count + skip, rng)
     y = lfilter(B, F, u) + lfilter(C, D, sigma * rng.standard_normal(count + skip))
     return u[skip:], y[skip:]
 
@@ -267,7 +267,7 @@ def test_truth_is_recovered_within_its_standard_errors(count: int) -> None:
 
 def test_white_noise_needs_no_noise_model() -> None:
     rng = np.random.default_rng(4)
-    u = held(800, rng)
+    u = binary_signal(800, rng)
     model = estimate(u, lfilter(B, F, u) + 0.1 * rng.standard_normal(800), "20021")
     np.testing.assert_allclose(model.B, B, atol=0.02)
     np.testing.assert_allclose(model.F, F, atol=0.01)
@@ -277,7 +277,7 @@ def test_white_noise_needs_no_noise_model() -> None:
 def test_closed_loop_data() -> None:
     rng = np.random.default_rng(5)
     count = 3000
-    reference = held(3000, rng)
+    reference = binary_signal(3000, rng)
     noise = lfilter(C, D, 0.1 * rng.standard_normal(count))
     u = np.zeros(count)
     w = np.zeros(count)
@@ -404,7 +404,7 @@ def test_what_cannot_be_estimated_is_refused(asked: Callable[..., object], messa
 
 @pytest.mark.parametrize("order", ["22221", "55551"])
 def test_data_without_noise(order: str) -> None:
-    u = held(300, np.random.default_rng(12))
+    u = binary_signal(300, np.random.default_rng(12))
     y = lfilter(B, F, u, zi=[2.0, 1.0])[0]
     model = estimate(u, y, order)
     assert model.variance < 1e-16 * np.mean(y**2)
@@ -415,7 +415,7 @@ def test_data_without_noise(order: str) -> None:
 
 @pytest.mark.parametrize("output", ["zero", "constant", "input"])
 def test_outputs_that_leave_nothing_to_find(output: str) -> None:
-    u = held(120, np.random.default_rng(13))
+    u = binary_signal(120, np.random.default_rng(13))
     y = {"zero": np.zeros(120), "constant": np.full(120, 25.0), "input": u}[output]
     model = estimate(u, y, "33330" if output == "input" else "33331")
     # The input itself cannot be predicted one sample ahead; the rest can, exactly.

@@ -384,11 +384,11 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
         other_places = [j for j in range(3) if j != i]
 
         def residuals(
-            x: np.ndarray, i: int = i, end: float = end, others: list[int] = other_places
+            x: np.ndarray, i: int = i, end: float = end, places: list[int] = other_places
         ) -> np.ndarray:
             values = np.empty(3)
             values[i] = end
-            values[others] = x
+            values[places] = x
             return posed.residuals(values).ravel()
 
         fits = [

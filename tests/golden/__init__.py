@@ -87,24 +87,24 @@ def digest(documents: dict[str, Any]) -> Entry:
     }
 
 
-def compare(name: str, found: Entry) -> tuple[list[str], str]:
+def compare(name: str, entry: Entry) -> tuple[list[str], str]:
     """What differs from the file, and what was compared, in words."""
     stored: Entry = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     figures = [
-        f"{key} is {found['figures'].get(key)!r} and was {stored['figures'].get(key)!r}"
-        for key in stored["figures"] | found["figures"]
-        if not _alike(stored["figures"].get(key), found["figures"].get(key))
+        f"{key} is {entry['figures'].get(key)!r} and was {stored['figures'].get(key)!r}"
+        for key in stored["figures"] | entry["figures"]
+        if not _alike(stored["figures"].get(key), entry["figures"].get(key))
     ]
     differing = [
-        key for key, value in stored["fingerprint"].items() if found["fingerprint"].get(key) != value
+        key for key, value in stored["fingerprint"].items() if entry["fingerprint"].get(key) != value
     ]
     if differing:
         figures = [line for line in figures if not line.startswith(UNSTEADY)]
         return figures, f"figures only, as {', '.join(differing)} differ"
-    if stored["bits"] == found["bits"]:
+    if stored["bits"] == entry["bits"]:
         return [], "every bit"
-    groups = stored["parts"] | found["parts"]
-    moved = [group for group in groups if stored["parts"].get(group) != found["parts"].get(group)]
+    groups = stored["parts"] | entry["parts"]
+    moved = [group for group in groups if stored["parts"].get(group) != entry["parts"].get(group)]
     return [f"bits differ in {', '.join(moved)}", *figures], "every bit"
 
 
@@ -259,9 +259,9 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _alike(one: Any, other: Any) -> bool:
-    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        return all(map(_alike, one, other))
-    if isinstance(one, float) and isinstance(other, float):
-        return math.isclose(one, other, rel_tol=ROUGHLY)
-    return bool(one == other)
+def _alike(value: Any, expected: Any) -> bool:
+    if isinstance(value, list) and isinstance(expected, list) and len(value) == len(expected):
+        return all(map(_alike, value, expected))
+    if isinstance(value, float) and isinstance(expected, float):
+        return math.isclose(value, expected, rel_tol=ROUGHLY)
+    return bool(value == expected)

@@ -138,8 +138,8 @@ def motors(*kinds: str) -> list[Monitor]:
     monitor = Monitor(HealthSettings.of(Motor, period))
     reference = random.uniform(-150.0, 150.0, 60)
 
-    def run(until: float, at: Any, kind: str = "") -> Any:
-        k, states, pid, random, monitor = at
+    def run(until: float, before: Any, kind: str = "") -> Any:
+        k, states, pid, random, monitor = before
         while k * period < until:
             wanted = float(reference[k // 200])
             y = read(truth, states) + random.normal(0.0, 0.2)

@@ -47,10 +47,10 @@ PERIOD = 0.5
 MAP = ["output=/rack:readings[1].value", "input=/heater", "reference=/sp:data", "room=/room:temperature"]
 
 
-def rack(at: float, value: float) -> Any:
+def rack(seconds: float, value: float) -> Any:
     reading = STORE.types["lab_msgs/msg/Reading"]
     readings = [reading(value=0.0, name="spare"), reading(value=value, name="block")]
-    return STORE.types["lab_msgs/msg/Rack"](header=header(at), readings=readings)
+    return STORE.types["lab_msgs/msg/Rack"](header=header(seconds), readings=readings)
 
 
 def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[float, str, Any]]:

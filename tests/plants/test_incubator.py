@@ -34,7 +34,7 @@ def rms(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def left(twin: Parameters, window: Window, starts: dict[str, float]) -> float:
+def rms_left(twin: Parameters, window: Window, starts: dict[str, float]) -> float:
     """What a twin driven by a run's heater leaves of all its readings but two, RMS, °C."""
     runs = Experiment(twin, (), window, free_starts=tuple(starts))
     return rms(window.output[2:] - runs.simulate(np.array(list(starts.values()))).output)
@@ -49,7 +49,7 @@ def judged(twin: Parameters, window: Window, samples: int, free: tuple[str, ...]
         begun.values_of(twin), box[0], box[1], np.array([states[n].scale for n in free]), 100
     )
     assert minimum.converged
-    return left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
+    return rms_left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
 
 
 # --- equations ---
@@ -163,7 +163,7 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
     """Least squares on all samples would leave 0.46 and 0.30; here large errors count by their size."""
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("four parameters", *runs)
-    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.50 < THEIRS[FIRST, 4]
     assert figures[1] <= 0.35 < THEIRS[SECOND, 4]
 
@@ -171,7 +171,7 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
 def test_a_box_with_mass_leaves_a_third_of_that(run: Callable[[str], Window]) -> None:
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("box with mass", *runs)
-    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.10
     assert figures[1] <= 0.15
 

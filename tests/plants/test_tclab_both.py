@@ -88,10 +88,12 @@ def test_stretches_withstand_a_drifting_room() -> None:
     in_parts = fit_session(WHOLE, drifting, informed=False).parameters
     whole = fit_session(WHOLE, [drifting], informed=False, stretch=np.inf).parameters
 
-    def off(found: Parameters) -> float:
-        return max(abs(found[name] / KIT[name] - 1.0) for name in ("heating", "second_heating", "losses"))
+    def largest_error(parameters: Parameters) -> float:
+        return max(
+            abs(parameters[name] / KIT[name] - 1.0) for name in ("heating", "second_heating", "losses")
+        )
 
-    assert off(in_parts) < 0.6 * off(whole)
+    assert largest_error(in_parts) < 0.6 * largest_error(whole)
     with pytest.raises(FittingError, match="there is no window"):
         fit_session(WHOLE, [])
 

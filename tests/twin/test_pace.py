@@ -57,14 +57,14 @@ def test_shipped_plants_keep_their_windows_and_horizons(plant: type[Plant], peri
 
 
 @pytest.mark.parametrize(
-    ("plant", "found"),
+    ("plant", "seconds"),
     [(Lag, 5.0), (House, 3600.0), (Servo, 0.3), (Motor, 0.183), (Tank, 47.3), (Shaft, 0.0), (Stated, 20.0)],
 )
 def test_the_slow_time_constant_is_that_of_the_equations_or_the_files(
-    plant: type[Plant], found: float
+    plant: type[Plant], seconds: float
 ) -> None:
     """Of a servo it is that of its speed: the angle integrates, and friction makes it faster."""
-    assert time_constant(plant) == pytest.approx(found, rel=0.01)
+    assert time_constant(plant) == pytest.approx(seconds, rel=0.01)
 
 
 def test_what_only_integrates_goes_by_its_samples() -> None:

@@ -40,7 +40,7 @@ def chosen(fits: StructureFits, window: Window) -> StructureChoice | None:
     return fits.choice if fits.choice is not before else None
 
 
-def now(fits: StructureFits, window: Window) -> Parameters:
+def plant_after(fits: StructureFits, window: Window) -> Parameters:
     fits.push(window, excited=False)
     parameters = fits.plant_now()
     assert parameters is not None
@@ -150,7 +150,7 @@ def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(seed: int) -> None:
     """Nearer by far than a rig whose plate holds a third more heat."""
-    plant_now = now(candidates_only(), recorded(RIG, seed))
+    plant_now = plant_after(candidates_only(), recorded(RIG, seed))
     assert plant_now.model.structure_name == RICHEST
     assert apart(plant_now, RIG) < 0.5 * apart(RIG.replace(heat_capacity=40.0), RIG)
 
@@ -159,8 +159,8 @@ def test_the_plant_now_follows_a_plant_that_changes() -> None:
     """From one window to the next the plate has got heavier; each time the newest samples count."""
     fits = candidates_only()
     heavy = RIG.replace(heat_capacity=40.0)
-    first = now(fits, recorded(RIG, 4))
-    second = now(fits, recorded(heavy, 5, first=5000))
+    first = plant_after(fits, recorded(RIG, 4))
+    second = plant_after(fits, recorded(heavy, 5, first=5000))
     assert apart(first, RIG) < apart(first, heavy)
     assert apart(second, heavy) < apart(second, RIG)
 
@@ -168,7 +168,7 @@ def test_the_plant_now_follows_a_plant_that_changes() -> None:
 def test_after_a_fault_the_plant_now_starts_over() -> None:
     fits = candidates_only()
     window = recorded(RIG, 6)
-    first = now(fits, window)
+    first = plant_after(fits, window)
     assert fits.plant_now() is not None
     fits.expel(window.last + 1, window.last + 2)
     assert fits.plant_now() == first

@@ -40,10 +40,10 @@ def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> Non
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 5.0))
-def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
-    values = np.full((1, 60), 20.0 + off * half)
+def test_a_miss_counts_in_half_widths(half: float, miss: float) -> None:
+    values = np.full((1, 60), 20.0 + miss * half)
     check = check_band(forecast(20.0, half), values, values)
-    assert check.miss_y == pytest.approx(off, abs=1e-9)
+    assert check.miss_y == pytest.approx(miss, abs=1e-9)
     assert check.miss == max(check.miss_y, check.miss_u)
 
 

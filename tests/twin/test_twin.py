@@ -94,14 +94,14 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
     due: list[tuple[int, MatchReport]] = []
     verdicts: list[Verdict] = []
 
-    def take(step: Step, now: int) -> None:
+    def take(step: Step, sample: int) -> None:
         verdicts.extend(step.verdicts)
         if step.request is not None:
             report = next(m for m in reports if m.answers(step.request))
             assert repr(carry_out(step.request, settings)) == repr(report)
-            due.append((now + (next(lateness) if now < 1500 else 10_000), report))
+            due.append((sample + (next(lateness) if sample < 1500 else 10_000), report))
 
-    def answer(now: int) -> None:
+    def answer(sample: int) -> None:
         report = due.pop(0)[1]
         request = judge.request
         assert judge.push_match(next(m for m in reports if m is not report)) == Step((), None)
@@ -109,7 +109,7 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
         step = judge.push_match(report)
         if step.request is None:
             assert judge.push_match(report) == Step((), None)
-        take(step, now)
+        take(step, sample)
 
     for sample in simulated_session:
         take(judge.push_sample(sample), sample.index)
@@ -154,7 +154,7 @@ def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_s
     assert {c.name for c in verdicts[-1].modelled} == {"50 °C"}
 
 
-def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
+def drive_lost(lost_at: int, ticks: int, back_at: int | None = None) -> list[Sample]:
     """A run whose drive is lost, and may come back: the controller continues, the plate gets nothing."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
@@ -167,7 +167,7 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
         y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
-        states = advance(rig, states, 0.0 if at <= k < (again or ticks) else u, 1.0)
+        states = advance(rig, states, 0.0 if lost_at <= k < (back_at or ticks) else u, 1.0)
     return samples
 
 

@@ -245,7 +245,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("named", "found"),
+    ("named", "sessions"),
     [
         pytest.param(".", "a/deep b c/x.MAT c/y.csv d[1].csv", id="all in a folder"),
         pytest.param("b a/deep b/run_0.mcap", "b a/deep b/run_0.mcap", id="sessions and a file of one"),
@@ -255,9 +255,9 @@ def tree(tmp_path: Path) -> Path:
         pytest.param("absent.mat", "absent.mat", id="what is not there is named when it is judged"),
     ],
 )
-def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, found: str) -> None:
+def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, sessions: str) -> None:
     paths = find_sessions([tree / name for name in named.split()])
-    assert [str(path.relative_to(tree)) for path in paths] == found.split()
+    assert [str(path.relative_to(tree)) for path in paths] == sessions.split()
 
 
 @pytest.mark.parametrize(

@@ -35,9 +35,9 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
     return u, np.asarray(y, dtype=np.float64)
 
 
-def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int = 30) -> ArxForecast:
+def fitted(outputs: FloatArray, inputs: FloatArray, forgetting: float = 1.0, pace: int = 30) -> ArxForecast:
     """The model after these samples, shapes (N, o) and (N, m), asked at every `pace` of them."""
-    arx = Arx(None, kept)
+    arx = Arx(None, forgetting)
     departure = None
     for k, (y, u) in enumerate(zip(outputs.tolist(), inputs.tolist(), strict=True)):
         arx.push(Sample(k, 0, (0.0,) * len(y), tuple(y), tuple(u)))
@@ -47,16 +47,16 @@ def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int
     return departure
 
 
-@pytest.mark.parametrize("kept", [1.0, 0.99])
-def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) -> None:
+@pytest.mark.parametrize("forgetting", [1.0, 0.99])
+def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(forgetting: float) -> None:
     """Every order by its weighted least squares: the chosen one has the least AICc, and its coefficients."""
     api = pytest.importorskip("statsmodels.api", reason="statsmodels is in the extra 'test'")
     measures = pytest.importorskip("statsmodels.tools.eval_measures")
     u, y = second_order(400, 0.05, 3)
-    ours = fitted(y[:, None], u[:, None], kept)
+    ours = fitted(y[:, None], u[:, None], forgetting)
     signals = np.column_stack([y, u]) - [y[0], u[0]]
     rows = np.arange(MAX_ORDER, y.size)
-    weights = kept ** np.arange(rows.size)[::-1].astype(float)
+    weights = forgetting ** np.arange(rows.size)[::-1].astype(float)
     coefficients_by_aicc = {}
     for order in range(1, MAX_ORDER + 1):
         columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
@@ -137,9 +137,9 @@ RECORDED = {
 }
 
 
-def errors_at(tested: Backtest, who: str, horizon: float) -> dict[int, float]:
+def errors_at(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
     """The errors of a forecaster at a horizon, by the sample that it forecasts from."""
-    marked = [m for m in tested.marked if (m.who, m.horizon) == (who, horizon)]
+    marked = [m for m in tested.marked if (m.who, m.horizon) == (forecaster, horizon)]
     return {m.sample: m.marks.error for m in marked}
 
 

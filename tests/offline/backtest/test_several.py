@@ -36,9 +36,11 @@ def session(window: Window) -> Session:
     return session_of(Path("two.csv"), tuple(samples_of(window)), plant=Heaters.name, has_reference=False)
 
 
-def ends(tested: Backtest, who: str, horizon: float) -> dict[int, float]:
+def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
     """Errors at the horizon by origin, in units of the noise."""
-    return {m.sample: m.marks.output.end for m in tested.marked if (m.who, m.horizon) == (who, horizon)}
+    return {
+        m.sample: m.marks.output.end for m in tested.marked if (m.who, m.horizon) == (forecaster, horizon)
+    }
 
 
 def test_a_known_plant_is_forecast_to_its_noise() -> None:
@@ -127,8 +129,8 @@ def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
     kit_session = session(Window(np.zeros_like(y), y, u))
     tests = backtest_each(kit_session, TCLabBoth, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
 
-    def rms(who: str, horizon: float) -> float:
-        errors = np.array([list(ends(tested, who, horizon).values()) for tested in tests])
+    def rms(forecaster: str, horizon: float) -> float:
+        errors = np.array([list(ends(tested, forecaster, horizon).values()) for tested in tests])
         return float(TCLabBoth.temperature.noise * np.sqrt(np.mean(np.square(errors))))
 
     assert rms(LEADER, 10.0) < 0.16
