@@ -45,7 +45,7 @@ RUNS = 1500
 def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     code, vector, states, first, usual, law, memory, references, noise, strays, period, steps
 ):
-    """Readings and commands of a loop whose states stray states every sample."""
+    """Readings and commands of a loop whose states stray at every sample."""
     work = work_for(code, vector)
     u = np.empty(1)
     z = memory.copy()

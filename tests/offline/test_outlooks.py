@@ -154,7 +154,7 @@ def test_the_band_covers_the_measurements(session: Session, prospect_of_sample: 
 @pytest.mark.parametrize(
     ("asked_samples", "words"),
     [
-        ([FIRST, 5], ["no candidate asked_samples sample 5", "from sample"]),
+        ([FIRST, 5], ["no candidate at sample 5", "from sample"]),
         ([800], ["has no sample 800", "0 to 799"]),
         ([-1], ["has no sample -1"]),
     ],
