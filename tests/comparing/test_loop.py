@@ -382,7 +382,7 @@ def test_an_unstable_pole_shared_by_rounded_denominators_counts_once(seed: int, 
     assert nu_gap(apart1, apart2) < 0.2
 
 
-def test_double_integrators_shared_by_both_outputs() -> None:
+def test_a_double_integrator_may_be_shared_by_both_outputs() -> None:
     def discrete(gains: tuple[float, float], common: bool) -> GraphSymbol:
         poles = (poly(1.0, 1.0, 0.7), poly(1.0, 1.0, 0.3))
         if not common:

@@ -55,12 +55,12 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("first", "second", "published"), PUBLISHED)
-def test_published_gaps(first: StateSpace, second: StateSpace, published: float) -> None:
+def test_gaps_are_those_that_were_published(first: StateSpace, second: StateSpace, published: float) -> None:
     assert matrix_nu_gap(first, second) == pytest.approx(published, abs=5.1e-5)
     assert matrix_nu_gap(second, first) == pytest.approx(nu_gap(first, second), abs=1e-9)
 
 
-def test_published_margins() -> None:
+def test_margins_are_those_that_were_published() -> None:
     """MathWorks, page of ncfmargin."""
     assert matrix_margin(space([4], [1, -0.001]), space([1], [1])) == pytest.approx(0.7069, abs=5e-5)
     assert matrix_margin(space([1, 2], [1, 5, 10]), space([4.4], [1, 0])) == pytest.approx(0.1961, abs=5e-5)
@@ -352,7 +352,7 @@ def test_sizes_are_the_largest_singular_values(seed: int, p: int, m: int, apart:
         assert sizes_of(stack) == pytest.approx(np.linalg.svd(stack, compute_uv=False)[:, 0], rel=1e-13)
 
 
-def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
+def test_the_units_for_a_law_of_a_real_kit_prove_as_much_as_others_found() -> None:
     """Others found for it b = 0.12 to 0.17 in units of the spans, and 0.28 to 0.39 with 0.1 K per %."""
     path = OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json"
     if not path.is_file():

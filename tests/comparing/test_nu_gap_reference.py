@@ -152,7 +152,9 @@ def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("nudge", [None, 1e-3, 1e-8])
 @pytest.mark.parametrize("order", [1, 2, 3, 5, 10])
-def test_random_models_to_twelve_digits(order: int, nudge: float | None, discrete: bool) -> None:
+def test_gaps_of_random_models_are_exact_to_twelve_digits(
+    order: int, nudge: float | None, discrete: bool
+) -> None:
     rng = np.random.default_rng(100 * order + 10 * discrete + (0 if nudge is None else -int(np.log10(nudge))))
     outputs = 1 + order % 2
     p1 = random_model(rng, order, discrete, outputs)

@@ -358,7 +358,9 @@ def candidate(operating_point: float, name: str | None = None) -> Candidate:
         pytest.param(2, [90.0, 30.0, 60.0], 90.0, id="the one matched longest ago, of a full family"),
     ],
 )
-def test_who_leaves(most: int, admitted: list[float], leaving: float | None) -> None:
+def test_a_new_candidate_replaces_that_of_its_regime_or_the_oldest(
+    most: int, admitted: list[float], leaving: float | None
+) -> None:
     family = Family(most=most)
     gone = [family.admit(candidate(point)) for point in admitted]
     assert [c is None for c in gone[:-1]] == [True] * (len(admitted) - 1)

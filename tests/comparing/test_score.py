@@ -172,7 +172,7 @@ def test_a_window_that_does_not_move_identifies_nothing() -> None:
         identify(still)
 
 
-def test_published_example_of_another_program() -> None:
+def test_criteria_are_those_that_another_program_prints() -> None:
     """N = 300, six parameters, V = 1.6575: the figures MathWorks prints, to their last digit."""
     assert naic(1.6575, 6, 300) == pytest.approx(0.5453, abs=5e-5)
     assert bic(1.6575, 6, 300) == pytest.approx(1037.2, abs=0.05)
@@ -234,7 +234,7 @@ def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_winding_condition_of_stable_models_on_a_grid(seed: int) -> None:
+def test_the_winding_condition_on_a_grid_agrees_with_the_exact_gap(seed: int) -> None:
     """As the exact ν-gap decides it: equal to 1 or not."""
     rng = np.random.default_rng(seed)
     angles = np.linspace(0, np.pi, 2000)
@@ -272,7 +272,7 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
     assert failing_draws(a, c, (first, across), moved, failed).tolist() == [False, True]
 
 
-def test_scales_of_a_known_spread() -> None:
+def test_fitting_scales_are_the_quantiles_of_a_known_spread() -> None:
     """One frequency, |t·v + e| with v = 0.5 and real e: t·v = 0.5 − e at its own quantiles."""
     e = np.linspace(-0.2, 0.2, 1001)
     a = np.array([[0.25]])

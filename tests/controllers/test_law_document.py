@@ -56,7 +56,7 @@ def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
     np.testing.assert_allclose(y, r[0], atol=1e-6)
 
 
-def test_two_levels_and_matrices() -> None:
+def test_two_levels_and_matrices_are_read_from_documents() -> None:
     two = law_from(
         {"kind": "two-level", "off": 0, "on": 5, "below": 0.5, "above": 0.2, "least_on": 3}, Lag, 2.0
     )
@@ -77,7 +77,7 @@ def test_two_levels_and_matrices() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-def test_pids_side_by_side() -> None:
+def test_pids_side_by_side_become_one_linear_law() -> None:
     gains = {"proportional": 2.0, "integral": 0.1, "filter": 3.0, "weight": 0.5}
     law = law_from({"kind": "pid", "loops": [gains, {**gains, "high": 60}]}, Heaters, 1.0)
     assert isinstance(law, LinearLaw)

@@ -160,7 +160,7 @@ def test_tangents_are_those_of_the_simulation() -> None:
         )
 
 
-def test_the_next_experiment_beside_the_published_optimum() -> None:
+def test_the_next_experiment_reaches_the_published_optimum() -> None:
     """With the published information as prior; a part of the published 14.56 is that error, see above."""
     member = lab(np.outer(NOMINAL, NOMINAL) * np.linalg.inv(PUBLISHED), ALL)
     best = next_experiment([member], goal_named("parameters", [member], terms()), terms())

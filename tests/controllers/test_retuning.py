@@ -130,7 +130,7 @@ def test_gains_beyond_the_ceiling_come_down() -> None:
     assert down.reason.startswith("M_s comes down from ")
 
 
-def test_what_it_refuses() -> None:
+def test_what_cannot_be_retuned_is_refused() -> None:
     with pytest.raises(ControllerError, match=r"the ceiling 0\.9 and the largest change 2 must be above 1"):
         retuned(max_sensitivity=0.9)
     with pytest.raises(ControllerError, match="no twin can be held at 90; "):

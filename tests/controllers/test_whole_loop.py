@@ -53,7 +53,7 @@ def sampled(system: control.StateSpace, period: float, delay: int = 0) -> Linear
 @pytest.mark.parametrize(
     ("integrating", "up", "sensitivity", "delay"), [(False, 3.14, 1.59, 2.14), (True, 2.96, 1.70, 1.59)]
 )
-def test_margins_that_skogestad_published(
+def test_margins_are_those_that_skogestad_published(
     integrating: bool, up: float, sensitivity: float, delay: float
 ) -> None:
     """Skogestad, Simple analytic rules for model reduction and PID controller tuning, J. Process Control 13
@@ -225,7 +225,7 @@ def test_an_offset_changes_where_it_rests_and_nothing_else() -> None:
     np.testing.assert_allclose(after - 5.0, before, atol=1e-12)
 
 
-def test_what_it_refuses() -> None:
+def test_laws_that_cannot_close_the_loop_are_refused() -> None:
     with pytest.raises(PlantError, match="filter -1 s must not be negative"):
         FilteredPid(proportional=1.0, filter=-1.0, **WIDE)
     with pytest.raises(PlantError, match="proportional is nan"):

@@ -237,7 +237,7 @@ def test_its_linearisation_turns_the_phase() -> None:
         (2.0, (1.0, 0.0), "span of a dead time"),
     ],
 )
-def test_mistakes_are_named(order: int, span: tuple[float, float], words: str) -> None:
+def test_mistakes_in_a_dead_time_are_named(order: int, span: tuple[float, float], words: str) -> None:
     with pytest.raises(PlantError, match=words):
         DeadTime(span=span, order=order, text="flow")
 
@@ -274,7 +274,9 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
 
 
 @given(st.floats(-10.0, 10.0), st.floats(0.0, 3.0), st.floats(0.01, 5.0))
-def test_a_dead_zone_and_dry_friction(value: float, width: float, softness: float) -> None:
+def test_a_dead_zone_passes_the_excess_and_dry_friction_opposes(
+    value: float, width: float, softness: float
+) -> None:
     beyond_zone = float(dead_zone(sympy.Float(value), sympy.Float(width)))
     assert beyond_zone == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
     force = float(dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness)))

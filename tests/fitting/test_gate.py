@@ -176,7 +176,7 @@ def test_excitation_is_a_movement_of_the_set_point(reference: list[float], excit
     assert first_excited(np.array(reference), 2.0) == excited_at
 
 
-def test_limits_have_a_meaning() -> None:
+def test_limits_without_a_meaning_are_refused() -> None:
     with pytest.raises(FittingError, match="the limit condition is 0; it must be positive"):
         GateLimits(condition=0)
     with pytest.raises(FittingError, match=r"held_back is 1\.0; give a share of the window"):

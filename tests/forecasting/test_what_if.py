@@ -133,7 +133,9 @@ def test_answers_are_in_order(
         ({"tolerance": 0.0}, "the tolerance is 0; give a positive one"),
     ],
 )
-def test_questions_without_an_answer(outlook: Outlook, question: dict[str, Any], message: str) -> None:
+def test_questions_without_an_answer_are_refused(
+    outlook: Outlook, question: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ForecastError, match=message):
         what_if(outlook, Question(**question))
 

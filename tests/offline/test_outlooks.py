@@ -88,7 +88,9 @@ def test_a_session_that_ends_there_gives_the_same_bits(
     assert_same(alone.outlook.forecast(ahead), prospect_of_sample[sample].outlook.forecast(ahead))
 
 
-def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, tmp_path: Path) -> None:
+def test_a_cut_session_gives_the_same_bits_for_every_candidate(
+    samples: list[Sample], session: Session, tmp_path: Path
+) -> None:
     cut = stored(samples[: MIDDLE + 1], tmp_path / "cut")
     for name in ("with friction", "90 rad/s"):
         whole = prospects(session, TERMS, [MIDDLE, LAST], candidate=name)[MIDDLE]
@@ -159,7 +161,9 @@ def test_the_band_covers_the_measurements(session: Session, prospect_of_sample: 
         ([-1], ["has no sample -1"]),
     ],
 )
-def test_samples_nothing_can_be_said_of(session: Session, asked_samples: list[int], words: list[str]) -> None:
+def test_samples_without_an_outlook_are_named(
+    session: Session, asked_samples: list[int], words: list[str]
+) -> None:
     with pytest.raises(ForecastError) as caught:
         prospects(session, TERMS, asked_samples)
     assert all(word in str(caught.value) for word in words)

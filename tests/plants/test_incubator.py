@@ -147,7 +147,9 @@ THEIRS = {(FIRST, 2): 1.124, (FIRST, 4): 0.694, (SECOND, 2): 1.882, (SECOND, 4):
 
 
 @pytest.mark.parametrize(("name", "parameters"), THEIRS)
-def test_what_the_published_twins_leave(incubator_folder: Path, name: str, parameters: int) -> None:
+def test_the_published_twins_leave_what_was_published(
+    incubator_folder: Path, name: str, parameters: int
+) -> None:
     twin, box = published_twin(incubator_folder, name, parameters)
     assert rms(box - twin) == pytest.approx(THEIRS[name, parameters], abs=0.002)
 
@@ -187,7 +189,7 @@ def test_the_data_justify_walls_with_mass_and_the_sensors_lag(run: Callable[[str
     assert names.index("air and bed") < names.index("four parameters")  # the data do not justify the fourth
 
 
-def test_what_one_run_says_of_the_other(run: Callable[[str], Window]) -> None:
+def test_a_twin_of_one_run_forecasts_the_other_run(run: Callable[[str], Window]) -> None:
     """Fitted to the second and judged on the first; and the other way round."""
     first = run(FIRST)
     second = run(SECOND)

@@ -173,7 +173,7 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that() -> None:
 
 
 def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched() -> None:
-    """What came after them is, in another session: it begins with sample 0."""
+    """The samples after them are, as another session that begins with sample 0."""
     twin = Twin(replace(TwinSettings.of(TCLabBoth), read_through=("temperature",)))
     samples = []
     verdicts = []

@@ -95,7 +95,7 @@ def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
     assert check.miss_u == pytest.approx(2.0)
 
 
-def test_since_when_and_between_which_levels() -> None:
+def test_a_miss_lasts_once_separate_windows_fail_and_levels_are_those_that_held() -> None:
     bands = BandHistory(2.0, NOISE)
     assert bands.levels is None
     bands.push(inside(30.0, 40.0), 0, 60)

@@ -135,7 +135,9 @@ def test_progress_counts_every_session_once(tmp_path: Path) -> None:
         (["a.csv", "b.csv", "--config", "gone.yaml"], 2, "gone.yaml"),
     ],
 )
-def test_mistakes_are_named(arguments: list[str], code: int, words: str) -> None:
+def test_mistakes_of_replay_are_named_without_a_traceback(
+    arguments: list[str], code: int, words: str
+) -> None:
     result = run_twinmatch("replay", *arguments)
     assert result.returncode == code, result.stderr
     assert words in result.stderr

@@ -49,7 +49,7 @@ def origins_of(
     return origins(windows, [*regular(windows, interval), *verdict_samples], horizons)
 
 
-def test_every_minute_and_every_verdict() -> None:
+def test_forecasts_begin_at_every_minute_and_every_verdict() -> None:
     chosen = origins_of([window(400)], [75, 119, 380], 60.0, HORIZONS)
     assert [m.sample for m in chosen] == [59, 75, 119, 179, 239, 299, 359, 380]
     assert [m.count for m in chosen] == [300, 300, 280, 220, 160, 100, 40, 19]
@@ -118,7 +118,7 @@ ends = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(sorted)
 confidences = st.floats(0.05, 0.95)
 
 
-def test_interval_score_by_hand() -> None:
+def test_what_lies_outside_an_interval_costs_by_its_distance() -> None:
     """Width 4; 1 below the band and 3 above it cost 2/0.2 = 10 times as much more."""
     score = interval_score(np.zeros(3), np.full(3, 4.0), np.array([2.0, -1.0, 7.0]), 0.8)
     np.testing.assert_allclose(score, [4.0, 14.0, 34.0], rtol=1e-12)
@@ -178,7 +178,7 @@ def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
         marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), [10.0], Peltier)
 
 
-def test_horizons_in_samples() -> None:
+def test_horizons_are_rounded_down_to_whole_samples() -> None:
     assert samples_within(60.0, 1.0) == 60
     assert samples_within(60.0, 0.1) == 600
     assert samples_within(10.0, 3.0) == 3
@@ -191,7 +191,7 @@ def marked(forecaster: str, sample: int, error: float, horizon: float = 60.0, se
     return Marked(session, sample, horizon, forecaster, Marks(signal, signal))
 
 
-def test_a_card_by_hand() -> None:
+def test_a_card_has_the_quantiles_of_its_marks() -> None:
     ours = [marked("leader", k, float(k)) for k in range(1, 11)]
     best = [marked(HINDSIGHT, k, k / 2.0) for k in range(1, 11)]
     card, _ = cards([*ours, *best])
