@@ -272,7 +272,7 @@ def test_the_command_says_it_and_its_exit_code_too(tmp_path: Path) -> None:
     assert len(broken.stderr.strip().splitlines()) == 1
 
 
-def told(plant: type[Plant]) -> list[str]:
+def unit_findings(plant: type[Plant]) -> list[str]:
     looked = Dimensions(plant)
     for structure in plant.structures.values():
         looked.check(structure.parts)
@@ -298,11 +298,11 @@ def test_columns_of_a_recording_are_named_and_mapped(
 
 @pytest.mark.parametrize("plant", [Lag, Motor, Tank, *PLANTS.values()], ids=lambda plant: plant.name)
 def test_plants_whose_units_are_right_pass(plant: type[Plant]) -> None:
-    assert told(plant) == []
+    assert unit_findings(plant) == []
 
 
 def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
-    assert told(find_plant(str(plant_file(tmp_path, "units_right")))) == []
+    assert unit_findings(find_plant(str(plant_file(tmp_path, "units_right")))) == []
 
 
 SINK = "self.loss * (self.block - self.room)"
@@ -337,13 +337,13 @@ SINK = "self.loss * (self.block - self.room)"
 )
 def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     name = f"units_wrong_{crc32(repr((old, new)).encode())}"
-    sentences = told(find_plant(str(plant_file(tmp_path, name, (old, new)))))
+    sentences = unit_findings(find_plant(str(plant_file(tmp_path, name, (old, new)))))
     assert any(re.search(message, sentence) for sentence in sentences), sentences
 
 
 def test_the_size_of_a_high_power_is_not_judged(tmp_path: Path) -> None:
     change = ("self.gain * self.heater", "self.gain * self.heater**100000")  # (0.01)**100000 underflows
-    assert told(find_plant(str(plant_file(tmp_path, "units_high", change)))) == []
+    assert unit_findings(find_plant(str(plant_file(tmp_path, "units_high", change)))) == []
 
 
 def test_what_a_number_hides_is_not_judged_but_noted(tmp_path: Path) -> None:
@@ -390,7 +390,7 @@ def test_a_lag_whose_units_are_made_to_fit_passes_whatever_they_are(y: str, u: s
                 start={self.inside: self.out / self.seen},
             )
 
-    assert told(Any) == []
+    assert unit_findings(Any) == []
 
 
 def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:

@@ -120,8 +120,10 @@ def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarra
     if room is not None:
         columns["Room (degC)"] = room
     path = folder / "log.csv"
-    rows = "\n".join(",".join(f"{v:.4f}" for v in row) for row in zip(*columns.values(), strict=True))
-    path.write_text(",".join(columns) + "\n" + rows + "\n")
+    lines = [",".join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        lines.append(",".join(f"{value:.4f}" for value in row))
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 
@@ -173,7 +175,7 @@ def pid_log(folder: Path, *titles: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("titles", "said"),
+    ("titles", "is_reported"),
     [
         (("Time", "Setpoint", "Input", "Output"), True),
         (("time", "setpoint", "temperature", "output"), False),
@@ -181,14 +183,14 @@ def pid_log(folder: Path, *titles: str) -> Path:
     ],
 )
 def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], said: bool
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], is_reported: bool
 ) -> None:
     """PID libraries call what they measure Input, and the drive Output."""
     log = pid_log(tmp_path, *titles)
     folder = str(tmp_path)
     name = f"boiler_of_{titles[2].lower()}"
     assert main(["new-plant", name, "--from", str(log), "-o", folder]) == 0
-    assert ("Input is taken as what is measured" in capsys.readouterr().out) == said
+    assert ("Input is taken as what is measured" in capsys.readouterr().out) == is_reported
     plant = tmp_path / f"{name}.py"
     mapped = tmp_path / f"{name}_map.yaml"
     columns = yaml.safe_load(mapped.read_text())["columns"]
@@ -263,9 +265,9 @@ def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: 
     assert plant_class().equations(frozenset()).rates
 
 
-def written(folder: Path, held: Proposal, name: str) -> list[Path]:
+def written(folder: Path, proposal: Proposal, name: str) -> list[Path]:
     paths = []
-    for file, text in files_of(name, held).items():
+    for file, text in files_of(name, proposal).items():
         (folder / file).write_text(text, encoding="utf-8")
         paths.append(folder / file)
     return paths
@@ -381,9 +383,11 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stuck", "found"), [(False, []), (True, ["no window could be matched, because the plant seemed"])]
+    ("stuck", "expected"), [(False, []), (True, ["no window could be matched, because the plant seemed"])]
 )
-def test_a_fault_that_keeps_every_window_out_is_named(tmp_path: Path, stuck: bool, found: list[str]) -> None:
+def test_a_fault_that_keeps_every_window_out_is_named(
+    tmp_path: Path, stuck: bool, expected: list[str]
+) -> None:
     """The input moves enough, so it is not the reason."""
     plant = find_plant(str(plant_file(tmp_path, f"block_stuck_{stuck}".lower())))
     truth = plant.model().parameters(gain=0.6)
@@ -397,7 +401,7 @@ def test_a_fault_that_keeps_every_window_out_is_named(tmp_path: Path, stuck: boo
     shown: set[str] = set()
     checked = check_data(session, plant, lambda what, *_: shown.add(what.split()[0]))
     assert shown == {"judging", "fitting"}
-    assert [f.what[: len(w)] for f, w in zip(checked.findings, found, strict=True)] == found
+    assert [f.what[: len(w)] for f, w in zip(checked.findings, expected, strict=True)] == expected
 
 
 GAINS = PidGains(0.15, 0.6, 0.0, 20.0, low=-24.0, high=24.0, period=0.05)

@@ -29,13 +29,13 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("plant", "controller", "published"), PUBLISHED)
-def test_published_margins(plant: Any, controller: Any, published: float) -> None:
+def test_margins_are_those_that_were_published(plant: Any, controller: Any, published: float) -> None:
     assert stability_margin(plant, controller) == pytest.approx(published, abs=5e-5)
     spaces = control.ss(plant), control.ss(controller)
     assert stability_margin(*spaces) == pytest.approx(stability_margin(plant, controller), rel=1e-9)
 
 
-def test_closed_forms() -> None:
+def test_margins_are_those_of_closed_forms() -> None:
     gain = control.tf([2], [1])
     # of gains: (1 + kc)/√(1 + k²)√(1 + c²)
     assert stability_margin(gain, control.tf([3], [1])) == pytest.approx(7 / math.sqrt(50), rel=1e-14)
@@ -93,16 +93,21 @@ def symbol(fractions: list[Any], discrete: bool) -> GraphSymbol:
     return GraphSymbol.of_transfer_functions(fractions, 1.0 if discrete else 0.0)
 
 
+def exact(polynomial: np.ndarray) -> list[Any]:
+    """Its coefficients, which are floats, with 40 digits."""
+    return [mp.mpf(float(c)) for c in polynomial]
+
+
 def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> Any:
     """40 digits: roots for stability, ‖[P; 1](1 + CP)⁻¹[1 C]‖ sampled and refined for the margin."""
     common_p = plant[0][1]
     common_c = controller[0][1]
-    exact = [[mp.mpf(float(c)) for c in p] for p in (common_p, common_c)]
-    terms = [product(*exact)]
+    terms = [product(exact(common_p), exact(common_c))]
     for (n, _), (m, _) in zip(plant, controller, strict=True):
-        terms.append(product([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in m]))
+        terms.append(product(exact(n), exact(m)))
     width = max(map(len, terms))
-    loop = [mp.fsum(cs) for cs in zip(*([mp.mpf(0)] * (width - len(t)) + t for t in terms), strict=True)]
+    of_one_length = [[mp.mpf(0)] * (width - len(t)) + t for t in terms]
+    loop = [mp.fsum(coefficients) for coefficients in zip(*of_one_length, strict=True)]
     if loop[0] == 0:
         return mp.mpf(0)
     roots = mp.polyroots(loop, maxsteps=500, extraprec=400) if len(loop) > 1 else []
@@ -112,7 +117,8 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
     def margin(t: Any, exp: Any = mp.exp, polyval: Any = lambda p, x: mp.polyval(list(p), x)) -> Any:
         s = 1j * exp(t)
         x = (1 + s) / (1 - s) if discrete else s
-        p, c = ([polyval(n, x) / polyval(d, x) for n, d in part] for part in (plant, controller))
+        p = [polyval(n, x) / polyval(d, x) for n, d in plant]
+        c = [polyval(n, x) / polyval(d, x) for n, d in controller]
         sizes = (1 + sum(abs(v) ** 2 for v in p)) * (1 + sum(abs(v) ** 2 for v in c))
         return abs(1 + sum(v * w for v, w in zip(p, c, strict=True))) / sizes**0.5
 
@@ -144,7 +150,7 @@ def product(a: list[Any], b: list[Any]) -> list[Any]:
 
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
-def test_random_loops_to_twelve_digits(order: int, discrete: bool) -> None:
+def test_margins_of_random_loops_are_exact_to_twelve_digits(order: int, discrete: bool) -> None:
     rng = np.random.default_rng(10 * order + discrete)
     stable = unstable = 0
     while stable < 2 or unstable < 2:
@@ -161,7 +167,7 @@ def test_random_loops_to_twelve_digits(order: int, discrete: bool) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_against_the_norm_of_python_control(seed: int) -> None:
+def test_a_margin_is_the_inverse_of_the_closed_loops_norm(seed: int) -> None:
     """1/‖·‖∞ of the closed loop in state space, a bisection over Hamiltonian matrices."""
     rng = np.random.default_rng(seed)
     p = control.rss(3, 1, 1, strictly_proper=True)
@@ -233,7 +239,7 @@ def test_the_bound_is_tight() -> None:
         assert (stability_margin(neighbour, control.tf([3], [1])) > 0) == holds
 
 
-def test_a_controller_of_two_inputs() -> None:
+def test_a_controller_of_two_inputs_has_the_margin_of_its_closed_form() -> None:
     """[1/s; 2] under [3 1]: K G = (3 + 3s)/s."""
     plant = control.tf([[[1.0]], [[2.0]]], [[[1.0, 0.0]], [[1.0]]])
     controller = control.tf([[[3.0], [1.0]]], [[[1.0], [1.0]]])

@@ -54,13 +54,13 @@ PUBLISHED = [
 ]
 
 
-@pytest.mark.parametrize(("one", "other", "published"), PUBLISHED)
-def test_published_gaps(one: StateSpace, other: StateSpace, published: float) -> None:
-    assert matrix_nu_gap(one, other) == pytest.approx(published, abs=5.1e-5)
-    assert matrix_nu_gap(other, one) == pytest.approx(nu_gap(one, other), abs=1e-9)
+@pytest.mark.parametrize(("first", "second", "published"), PUBLISHED)
+def test_gaps_are_those_that_were_published(first: StateSpace, second: StateSpace, published: float) -> None:
+    assert matrix_nu_gap(first, second) == pytest.approx(published, abs=5.1e-5)
+    assert matrix_nu_gap(second, first) == pytest.approx(nu_gap(first, second), abs=1e-9)
 
 
-def test_published_margins() -> None:
+def test_margins_are_those_that_were_published() -> None:
     """MathWorks, page of ncfmargin."""
     assert matrix_margin(space([4], [1, -0.001]), space([1], [1])) == pytest.approx(0.7069, abs=5e-5)
     assert matrix_margin(space([1, 2], [1, 5, 10]), space([4.4], [1, 0])) == pytest.approx(0.1961, abs=5e-5)
@@ -89,8 +89,8 @@ def random_plant(
     return StateSpace(a, b, c, rng.standard_normal((outputs, inputs)), 1.0 if discrete else None)
 
 
-def near(rng: np.random.Generator, plant: StateSpace, by: float) -> StateSpace:
-    a, b, c, d = (p * (1 + by * rng.standard_normal(p.shape)) for p in (plant.A, plant.B, plant.C, plant.D))
+def near(rng: np.random.Generator, plant: StateSpace, size: float) -> StateSpace:
+    a, b, c, d = (p * (1 + size * rng.standard_normal(p.shape)) for p in (plant.A, plant.B, plant.C, plant.D))
     return StateSpace(a, b, c, d, plant.period)
 
 
@@ -98,9 +98,9 @@ def rotated(u: np.ndarray, plant: StateSpace, v: np.ndarray) -> StateSpace:
     return StateSpace(plant.A, plant.B @ v, u @ plant.C, u @ plant.D @ v, plant.period)
 
 
-def diagonal(one: StateSpace, two: StateSpace) -> StateSpace:
-    parts = control.append(*(control.ss(s.A, s.B, s.C, s.D) for s in (one, two)))
-    return StateSpace(parts.A, parts.B, parts.C, parts.D, one.period)
+def diagonal(first: StateSpace, second: StateSpace) -> StateSpace:
+    parts = control.append(*(control.ss(s.A, s.B, s.C, s.D) for s in (first, second)))
+    return StateSpace(parts.A, parts.B, parts.C, parts.D, first.period)
 
 
 @pytest.mark.parametrize("discrete", [False, True])
@@ -136,12 +136,12 @@ def test_rotated_pairs_have_the_largest_gap_of_their_parts() -> None:
     assert checked > 80
 
 
-def on_grid(one: StateSpace, other: StateSpace) -> float:
+def on_grid(plant: StateSpace, neighbour: StateSpace) -> float:
     """By the definition on a dense grid with python-control's responses: κ, and the phase of det(I + P₂*P₁),
     whose turns make up for the difference in unstable poles."""
-    frequencies = np.concatenate([[1e-6], np.logspace(-4, np.log10(np.pi) if one.period else 4, 600)])
-    args = () if one.period is None else (1.0,)
-    first, second = (control.ss(s.A, s.B, s.C, s.D, *args) for s in (one, other))
+    frequencies = np.concatenate([[1e-6], np.logspace(-4, np.log10(np.pi) if plant.period else 4, 600)])
+    args = () if plant.period is None else (1.0,)
+    first, second = (control.ss(s.A, s.B, s.C, s.D, *args) for s in (plant, neighbour))
     unstable = [int(np.sum(abs(s.poles()) > 1 if args else s.poles().real > 0)) for s in (first, second)]
     points = np.exp(1j * frequencies) if args else 1j * frequencies
     a, b = (np.moveaxis(s(points, squeeze=False), -1, 0) for s in (first, second))
@@ -242,7 +242,7 @@ def test_a_pole_at_minus_one_has_a_place() -> None:
         first, second = (
             StateSpace(np.diag(poles), np.eye(2), k * np.eye(2), np.zeros((2, 2)), 1.0) for k in (1.0, 1.3)
         )
-        exact = max(nu_gap(*(space([k], [1, -pole], 1.0) for k in (1.0, 1.3))) for pole in poles)
+        exact = max(nu_gap(space([1.0], [1, -pole], 1.0), space([1.3], [1, -pole], 1.0)) for pole in poles)
         assert matrix_nu_gap(first, second) == pytest.approx(exact, abs=1e-9)
 
 
@@ -352,28 +352,26 @@ def test_sizes_are_the_largest_singular_values(seed: int, p: int, m: int, apart:
         assert sizes_of(stack) == pytest.approx(np.linalg.svd(stack, compute_uv=False)[:, 0], rel=1e-13)
 
 
-def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
+def test_the_units_for_a_law_of_a_real_kit_prove_as_much_as_others_found() -> None:
     """Others found for it b = 0.12 to 0.17 in units of the spans, and 0.28 to 0.39 with 0.1 K per %."""
     path = OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json"
     if not path.is_file():
         pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
     recorded = {name: np.array(value, dtype=float) for name, value in json.loads(path.read_text()).items()}
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     kit = fit_session(TCLabBoth.model(), Window(np.zeros_like(y), y, u)).parameters
     draws = [dict.fromkeys(("losses", "heating", "second_heating"), factor) for factor in (0.95, 1.05)]
     draws += [{"exchange": 0.9, "sensor_lag": 1.1}, {"exchange": 1.1, "sensor_lag": 0.9}]
     operating_point = recorded["y0"].ravel()
-    plant, *family = (
-        StateSpace.of(
-            linearised(
-                kit.replace(**{name: factor * kit[name] for name, factor in draw.items()}),
-                operating_point,
-                1.0,
-            )
-        )
-        for draw in ({}, *draws)
-    )
+
+    def linear(factors: dict[str, float]) -> StateSpace:
+        drawn = kit.replace(**{name: factor * kit[name] for name, factor in factors.items()})
+        return StateSpace.of(linearised(drawn, operating_point, 1.0))
+
+    plant = linear({})
+    family = [linear(factors) for factors in draws]
     controller = lqg(recorded)
     assert is_stable(plant, controller)
     spans = matrix_margin(plant.scaled([22.5] * 2, [50] * 2), controller.scaled([50] * 2, [22.5] * 2))
@@ -385,11 +383,11 @@ def test_units_for_a_law_that_ran_on_a_real_kit() -> None:
     assert scaling.margin > 0.99 * tenths
 
 
-def lqg(of: dict[str, np.ndarray]) -> StateSpace:
+def lqg(recorded: dict[str, np.ndarray]) -> StateSpace:
     """The linear part of the recorded law, as its authors describe it: observer, target and feedback."""
-    a, b, c, bd, cd = (of[name] for name in ("A", "B", "C", "Bd", "Cd"))
-    riccati = solve_discrete_are(a, b, c.T @ of["Qs"] @ c, of["Rs"])
-    gain = np.linalg.solve(of["Rs"] + b.T @ riccati @ b, b.T @ riccati @ a)
+    a, b, c, bd, cd = (recorded[name] for name in ("A", "B", "C", "Bd", "Cd"))
+    riccati = solve_discrete_are(a, b, c.T @ recorded["Qs"] @ c, recorded["Rs"])
+    gain = np.linalg.solve(recorded["Rs"] + b.T @ riccati @ b, b.T @ riccati @ a)
     n = len(a)
     m = b.shape[1]
     d = bd.shape[1]
@@ -398,5 +396,5 @@ def lqg(of: dict[str, np.ndarray]) -> StateSpace:
     )
     feedback = np.hstack([-gain, gain @ target[:n] + target[n:]])
     whole = np.block([[a, bd], [np.zeros((d, n)), np.eye(d)]])
-    moved = whole + np.vstack([b, np.zeros((d, m))]) @ feedback - of["K"] @ np.hstack([c, cd])
-    return StateSpace(moved, of["K"], -feedback, np.zeros((m, len(c))), 1.0)
+    moved = whole + np.vstack([b, np.zeros((d, m))]) @ feedback - recorded["K"] @ np.hstack([c, cd])
+    return StateSpace(moved, recorded["K"], -feedback, np.zeros((m, len(c))), 1.0)

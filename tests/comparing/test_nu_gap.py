@@ -63,14 +63,14 @@ def chordal_distance(p1: object, p2: object, frequencies: FloatArray) -> FloatAr
 
 
 @pytest.mark.parametrize(("p1", "p2", "published", "digit"), PUBLISHED)
-def test_published_pairs(p1: object, p2: object, published: float, digit: float) -> None:
+def test_gaps_are_those_that_were_published(p1: object, p2: object, published: float, digit: float) -> None:
     assert nu_gap(p1, p2) == pytest.approx(published, abs=digit)
     assert nu_gap(control.ss(p1), control.ss(p2)) == pytest.approx(published, abs=digit)
     tustin = [control.sample_system(p, 0.5, method="bilinear") for p in (p1, p2)]
     assert nu_gap(*tustin) == pytest.approx(published, abs=digit + 1e-11)
 
 
-def test_closed_forms() -> None:
+def test_gaps_are_those_of_closed_forms() -> None:
     """First-order pairs whose maximum can be found by hand."""
     # static gains: |a − b| / √(1 + a²) √(1 + b²)
     assert nu_gap(control.tf([2], [1]), control.tf([3], [1])) == pytest.approx(1 / math.sqrt(50), rel=1e-15)
@@ -119,7 +119,7 @@ def closed_loop(rng: np.random.Generator, order: int) -> GraphSymbol:
 
 
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
-def test_closed_loop_models_against_a_dense_grid(order: int) -> None:
+def test_the_gap_of_closed_loop_models_bounds_a_dense_grid(order: int) -> None:
     """The gap bounds every sample; where it is not a winding failure, a dense grid comes close to it."""
     rng = np.random.default_rng(order)
     grid = np.concatenate([[0], np.logspace(-6, math.log10(math.pi), 4000), [math.pi]])
@@ -143,7 +143,7 @@ def model(rng: np.random.Generator, outputs: int = 2, order: int = 3, period: fl
 
 
 @given(seeds, st.integers(1, 3), st.integers(1, 4), st.sampled_from([0.0, 1.0]))
-def test_it_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
+def test_the_gap_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
     rng = np.random.default_rng(seed)
     a, b, c = (model(rng, outputs, order, period) for _ in range(3))
     ab = nu_gap(a, b)
@@ -197,7 +197,7 @@ def test_small_gain_changes_are_small_gaps(seed: int) -> None:
     assert nu_gap(g1, g2) >= 2.0**-27 * np.max(size / (1 + size**2)) * (1 - 1e-7)
 
 
-def test_matrix_of_all_pairs() -> None:
+def test_the_matrix_of_all_pairs_is_symmetric_with_zeros_on_its_diagonal() -> None:
     systems = [1 / (S + k) for k in (1, 2, 3)]
     gaps = nu_gap_matrix(systems)
     assert gaps.shape == (3, 3)
@@ -207,7 +207,7 @@ def test_matrix_of_all_pairs() -> None:
     assert nu_gap_matrix([]).shape == (0, 0)
 
 
-def test_chordal_distance_of_known_points() -> None:
+def test_the_chordal_distance_is_that_of_its_formula() -> None:
     p1 = 1 / S
     p2 = 1.1 / S
     w = np.array([[0.0, 1.0], [2.0, 1e9]])
@@ -277,7 +277,9 @@ def test_a_root_that_no_float_separates_from_the_axis_is_reported() -> None:
 @pytest.mark.parametrize(
     ("polynomial", "stable"), [([7], True), ([-7], True), ([0, 1], False), ([1, 1, 0], False)]
 )
-def test_constants_roots_at_zero_and_at_infinity(polynomial: Polynomial, stable: bool) -> None:
+def test_constants_are_stable_and_roots_at_zero_or_infinity_are_not(
+    polynomial: Polynomial, stable: bool
+) -> None:
     assert is_hurwitz(polynomial) == stable
 
 
@@ -312,7 +314,7 @@ def test_a_family_of_integrators_has_distances_with_intervals() -> None:
     assert 0.0 < low < gaps.matrix[0, 1] < high < 1.0
 
 
-def test_published_weights() -> None:
+def test_weights_are_those_that_were_published() -> None:
     """Printed on the reference page of `ic_weights` in the R package tidySEM."""
     akaike = akaike_weights([100, 200, 102, 300])
     expected = [7.310586e-01, 1.410029e-22, 2.689414e-01, 2.719593e-44]
@@ -320,7 +322,7 @@ def test_published_weights() -> None:
     np.testing.assert_array_equal(akaike.differences, [0, 100, 2, 200])
 
 
-def test_evidence_ratios() -> None:
+def test_a_difference_of_two_ln_k_makes_k_to_one() -> None:
     """A difference of 2 ln k makes k to 1."""
     assert akaike_weights([0.0, 2 * math.log(3)]).weights == pytest.approx([0.75, 0.25])
     assert akaike_weights([7.0]).weights == pytest.approx([1.0])

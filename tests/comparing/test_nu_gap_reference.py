@@ -25,7 +25,8 @@ def on_axis(t: object, discrete: bool) -> object:
 def distance(p1: Fractions, p2: Fractions, t: object, discrete: bool) -> object:
     """√(1 − |1 + P2* P1|² / (1 + |P1|²)(1 + |P2|²)), to the letter."""
     x = on_axis(t, discrete)
-    a, b = ([mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in p] for p in (p1, p2))
+    a = [mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in p1]
+    b = [mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in p2]
     inner = 1 + sum(mp.conj(v) * w for v, w in zip(b, a, strict=True))
     sizes = (1 + sum(abs(v) ** 2 for v in a)) * (1 + sum(abs(v) ** 2 for v in b))
     return mp.sqrt(max(mp.mpf(0), 1 - abs(inner) ** 2 / sizes))
@@ -39,9 +40,8 @@ def in_floats(p1: Fractions, p2: Fractions, discrete: bool) -> np.ndarray:
     """The distance at the nodes, without taking a difference of nearly equal numbers."""
     s = 1j * np.exp(NODES)
     x = (1 + s) / (1 - s) if discrete else s
-    a, b = (
-        np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p)]) for p in (p1, p2)
-    )
+    a = np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p1)])
+    b = np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p2)])
     minors = [a[j] * b[k] - a[k] * b[j] for j, k in combinations(range(len(a)), 2)]
     return np.sqrt(
         np.sum(np.abs(minors) ** 2, axis=0) / np.sum(abs(a) ** 2, axis=0) / np.sum(abs(b) ** 2, axis=0)
@@ -75,11 +75,22 @@ def product(a: list[object], b: list[object]) -> list[object]:
     return out
 
 
+def exact(polynomial: np.ndarray) -> list[object]:
+    """Its coefficients, which are floats, with 60 digits."""
+    return [mp.mpf(float(c)) for c in polynomial]
+
+
+def of_minus_s(polynomial: list[object]) -> list[object]:
+    """The polynomial in −s: each odd power changes its sign."""
+    degree = len(polynomial) - 1
+    return [c * (-1) ** (degree - k) for k, c in enumerate(polynomial)]
+
+
 def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
     """Roots of d2~ d1 + N2~ N1 on the stable side: as many as the order of the first model."""
 
     def column(p: Fractions) -> list[list[object]]:
-        (n, d), *further = [([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in d]) for n, d in p]
+        (n, d), *further = [(exact(n), exact(d)) for n, d in p]
         whole = [d, n]
         for n_more, d_more in further:
             if d_more == d:
@@ -91,10 +102,7 @@ def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
 
     g1 = column(p1)
     g2 = column(p2)
-    if discrete:
-        mirrored = [e[::-1] for e in g2]
-    else:
-        mirrored = [[c * (-1) ** (len(e) - 1 - k) for k, c in enumerate(e)] for e in g2]
+    mirrored = [e[::-1] if discrete else of_minus_s(e) for e in g2]
     terms = [product(a, b) for a, b in zip(g1, mirrored, strict=True)]
     roots = mp.polyroots([mp.fsum(cs) for cs in zip(*terms, strict=True)], maxsteps=500, extraprec=400)
     stable = sum(bool(abs(r) < 1) if discrete else bool(mp.re(r) < 0) for r in roots)
@@ -144,7 +152,9 @@ def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("nudge", [None, 1e-3, 1e-8])
 @pytest.mark.parametrize("order", [1, 2, 3, 5, 10])
-def test_random_models_to_twelve_digits(order: int, nudge: float | None, discrete: bool) -> None:
+def test_gaps_of_random_models_are_exact_to_twelve_digits(
+    order: int, nudge: float | None, discrete: bool
+) -> None:
     rng = np.random.default_rng(100 * order + 10 * discrete + (0 if nudge is None else -int(np.log10(nudge))))
     outputs = 1 + order % 2
     p1 = random_model(rng, order, discrete, outputs)

@@ -72,11 +72,11 @@ def plates() -> st.SearchStrategy[Parameters]:
     return held_sink | massive
 
 
-def brute_force(one: Parameters, other: Parameters, point: float) -> float:
+def brute_force(first: Parameters, second: Parameters, point: float) -> float:
     """Largest chordal distance on a grid of frequencies, the plants from differences of single ticks."""
     scale = 255.0 / 35.0
     z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 20_000)]))
-    p, q = (scale * tick_response(twin, point, z) for twin in (one, other))
+    p, q = (scale * tick_response(twin, point, z) for twin in (first, second))
     return float(np.max(np.abs(p - q) / np.sqrt((1 + np.abs(p) ** 2) * (1 + np.abs(q) ** 2))))
 
 
@@ -122,12 +122,12 @@ def test_it_is_a_metric(twins: list[Parameters], points: set[float]) -> None:
 @settings(max_examples=20, deadline=None)
 @given(plates(), plates(), st.floats(0.01, 100.0))
 def test_it_does_not_depend_on_order_or_common_units(
-    one: Parameters, other: Parameters, factor: float
+    first: Parameters, second: Parameters, factor: float
 ) -> None:
-    gap = plant_gap(one, other, POINTS, TERMS)
-    assert plant_gap(other, one, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
+    gap = plant_gap(first, second, POINTS, TERMS)
+    assert plant_gap(second, first, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
     scaled = LoopConditions(GAINS, Scales(35.0 * factor, 255.0 * factor))
-    assert plant_gap(one, other, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
+    assert plant_gap(first, second, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
 
 
 @settings(max_examples=20, deadline=None)
@@ -213,11 +213,12 @@ def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float)
     free = twin.model.structure.free
     response, slopes = response_slopes(twin, free, point, TERMS)
     scales = {name: twin.model.declared[name].scale for name in free}
-    moved = [
-        twin.replace(**{name: twin[name] + sign * 5e-3 * scale for name, scale in scales.items()})
-        for sign in (1, -1)
-    ]
-    difference = np.subtract(*(response_slopes(m, (), point, TERMS)[0] for m in moved)) / 1e-2
+
+    def moved_response(step: float) -> np.ndarray:
+        moved = twin.replace(**{name: twin[name] + step * scale for name, scale in scales.items()})
+        return response_slopes(moved, (), point, TERMS)[0]
+
+    difference = (moved_response(5e-3) - moved_response(-5e-3)) / 1e-2
     slope = sum(scale * row for scale, row in zip(scales.values(), slopes, strict=True))
     assert response.shape == ANGLES.shape
     np.testing.assert_allclose(slope, difference, atol=0.03 * np.abs(difference).max())
@@ -357,7 +358,9 @@ def candidate(operating_point: float, name: str | None = None) -> Candidate:
         pytest.param(2, [90.0, 30.0, 60.0], 90.0, id="the one matched longest ago, of a full family"),
     ],
 )
-def test_who_leaves(most: int, admitted: list[float], leaving: float | None) -> None:
+def test_a_new_candidate_replaces_that_of_its_regime_or_the_oldest(
+    most: int, admitted: list[float], leaving: float | None
+) -> None:
     family = Family(most=most)
     gone = [family.admit(candidate(point)) for point in admitted]
     assert [c is None for c in gone[:-1]] == [True] * (len(admitted) - 1)

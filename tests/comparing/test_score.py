@@ -172,7 +172,7 @@ def test_a_window_that_does_not_move_identifies_nothing() -> None:
         identify(still)
 
 
-def test_published_example_of_another_program() -> None:
+def test_criteria_are_those_that_another_program_prints() -> None:
     """N = 300, six parameters, V = 1.6575: the figures MathWorks prints, to their last digit."""
     assert naic(1.6575, 6, 300) == pytest.approx(0.5453, abs=5e-5)
     assert bic(1.6575, 6, 300) == pytest.approx(1037.2, abs=0.05)
@@ -234,7 +234,7 @@ def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_winding_condition_of_stable_models_on_a_grid(seed: int) -> None:
+def test_the_winding_condition_on_a_grid_agrees_with_the_exact_gap(seed: int) -> None:
     """As the exact ν-gap decides it: equal to 1 or not."""
     rng = np.random.default_rng(seed)
     angles = np.linspace(0, np.pi, 2000)
@@ -272,7 +272,7 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
     assert failing_draws(a, c, (first, across), moved, failed).tolist() == [False, True]
 
 
-def test_scales_of_a_known_spread() -> None:
+def test_fitting_scales_are_the_quantiles_of_a_known_spread() -> None:
     """One frequency, |t·v + e| with v = 0.5 and real e: t·v = 0.5 − e at its own quantiles."""
     e = np.linspace(-0.2, 0.2, 1001)
     a = np.array([[0.25]])
@@ -357,7 +357,7 @@ def test_every_field_is_filled_with_what_its_source_says() -> None:
         assert candidate.nu_gap_sum == 0.1  # what was there stays
 
 
-def other() -> str:
+def not_of_smallest_sum() -> str:
     return next(name for name in RIGS if name != smallest_sum())
 
 
@@ -373,7 +373,11 @@ def other() -> str:
             ],
         ),
         (smallest_sum, 100.0, ["the data do not decide which candidate is nominal: {0} with probability 0."]),
-        (other, 1e-4, ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"]),
+        (
+            not_of_smallest_sum,
+            1e-4,
+            ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"],
+        ),
     ],
     ids=["clear", "the data cannot tell", "against the probabilities"],
 )
@@ -382,7 +386,7 @@ def test_how_certain_the_choice_is_in_words(
 ) -> None:
     judgement = judged(nominal(), factor=factor)
     for phrase in words:
-        assert phrase.format(smallest_sum(), other()) in judgement.certainty
+        assert phrase.format(smallest_sum(), not_of_smallest_sum()) in judgement.certainty
     chosen = next(c for c in judgement.candidates if c.name == nominal())
     assert (chosen.nominal_probability >= 0.9) == ("decide" not in judgement.certainty)
 

@@ -32,7 +32,9 @@ def test_the_regulator_of_a_real_kit_gives_the_commands_that_it_gave() -> None:
     rows = kit_rows("tclab_2x2", "closed_loop_lqg")
     document = json.loads((OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json").read_text("utf-8"))
     law = law_from(document, Heaters, 1.0)
-    r, y, u = (np.array([[row[f"{s}1"], row[f"{s}2"]] for row in rows]) for s in ("SP", "T", "Q"))
+    r = np.array([[row["SP1"], row["SP2"]] for row in rows])
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     commands, _ = commands_of(law.code, np.zeros(4), r, y)
     np.testing.assert_allclose(commands, u, atol=7e-4)
 
@@ -54,7 +56,7 @@ def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
     np.testing.assert_allclose(y, r[0], atol=1e-6)
 
 
-def test_two_levels_and_matrices() -> None:
+def test_two_levels_and_matrices_are_read_from_documents() -> None:
     two = law_from(
         {"kind": "two-level", "off": 0, "on": 5, "below": 0.5, "above": 0.2, "least_on": 3}, Lag, 2.0
     )
@@ -75,7 +77,7 @@ def test_two_levels_and_matrices() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-def test_pids_side_by_side() -> None:
+def test_pids_side_by_side_become_one_linear_law() -> None:
     gains = {"proportional": 2.0, "integral": 0.1, "filter": 3.0, "weight": 0.5}
     law = law_from({"kind": "pid", "loops": [gains, {**gains, "high": 60}]}, Heaters, 1.0)
     assert isinstance(law, LinearLaw)

@@ -56,7 +56,7 @@ def stepped(x: FloatArray, u: FloatArray, room: float = 296.0) -> FloatArray:
     return np.concatenate([temperatures + middle_rates, waiting[1:].ravel(), u])
 
 
-def held(level: FloatArray) -> tuple[FloatArray, FloatArray]:
+def rest_at_level(level: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State and commands of the kit at rest at these readings, °C."""
     u = np.array([30.0, 30.0])
     for _ in range(30):
@@ -82,7 +82,7 @@ def recorded(folder: Path) -> Ground:
     """An open-loop recording of an hour and a quarter."""
     rng = np.random.default_rng(8)
     u = np.repeat(rng.choice([20.0, 40.0], (15, 2)), 300, axis=0)
-    x, _ = held(np.array([40.0, 35.0]))
+    x, _ = rest_at_level(np.array([40.0, 35.0]))
     samples = []
     for k, command in enumerate(u):
         y = x[3:5] - 273.15 + rng.normal(0.0, 0.08, 2)
@@ -102,7 +102,7 @@ class Design(NamedTuple):
 def designs(number: int) -> list[Design]:
     """Regulators whose true loop is clearly stable or clearly not, as many of each as there are."""
     rng = np.random.default_rng(31)
-    rest_state, u0 = held(LEVEL)
+    rest_state, u0 = rest_at_level(LEVEL)
     gain = np.array([_rest(u0 + d)[3:5] - _rest(u0 - d)[3:5] for d in 0.5 * np.eye(2)]).T
     sorted_: dict[bool, list[Design]] = {True: [], False: []}
     while min(map(len, sorted_.values())) < number // 2:
@@ -128,16 +128,16 @@ def designs(number: int) -> list[Design]:
     return [design for kind in sorted_.values() for design in kind[: number // 2]]
 
 
-def true_eigenvalue(law: LinearLaw, at: FloatArray) -> float:
+def true_eigenvalue(law: LinearLaw, rest_state: FloatArray) -> float:
     """Of one second of the whole loop, by differences around its rest."""
     code = law.code
-    n = at.size
+    n = rest_state.size
 
     def loop(both: FloatArray) -> FloatArray:
         u, z = commands_of(code, both[n:], LEVEL[None], both[None, 3:5] - 273.15)
         return np.concatenate([stepped(both[:n], u[0]), z])
 
-    at_rest = np.concatenate([at, np.zeros(law.n_states)])
+    at_rest = np.concatenate([rest_state, np.zeros(law.n_states)])
     np.testing.assert_allclose(loop(at_rest), at_rest, atol=1e-6)
     moves = 1e-4 * np.eye(at_rest.size)
     slopes = np.array([(loop(at_rest + d) - loop(at_rest - d)) / 2e-4 for d in moves]).T

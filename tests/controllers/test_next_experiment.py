@@ -119,14 +119,14 @@ def terms(high: float = 85.0, size: int = STEPS) -> ExperimentTerms:
     return ExperimentTerms(Holding(None, PERIOD, 100), level, size, np.array([[0.0], [100.0]]), ends, 0.0)
 
 
-def known(share: float) -> FloatArray:
+def known_to(share: float) -> FloatArray:
     """Parameters known to such a share of their values."""
     return np.diag((share * NOMINAL[[0, 2, 3]]) ** 2)
 
 
 @pytest.fixture(scope="module")
-def found() -> NextExperiment:
-    member = lab(known(0.1))
+def experiment() -> NextExperiment:
+    member = lab(known_to(0.1))
     return next_experiment([member], goal_named("parameters", [member], terms(200.0)), terms(200.0))
 
 
@@ -160,7 +160,7 @@ def test_tangents_are_those_of_the_simulation() -> None:
         )
 
 
-def test_the_next_experiment_beside_the_published_optimum() -> None:
+def test_the_next_experiment_reaches_the_published_optimum() -> None:
     """With the published information as prior; a part of the published 14.56 is that error, see above."""
     member = lab(np.outer(NOMINAL, NOMINAL) * np.linalg.inv(PUBLISHED), ALL)
     best = next_experiment([member], goal_named("parameters", [member], terms()), terms())
@@ -170,21 +170,21 @@ def test_the_next_experiment_beside_the_published_optimum() -> None:
     assert len(best.course.rows) < STEPS
 
 
-def test_it_tells_more_than_a_step_and_keeps_to_the_range(found: NextExperiment) -> None:
+def test_it_tells_more_than_a_step_and_keeps_to_the_range(experiment: NextExperiment) -> None:
     """In as much time, and no band leaves the range."""
-    assert found.course.within
-    step, binary, nothing = found.others
-    assert found.course.characters > max(binary.characters, nothing.characters)
-    assert found.course.characters > step.characters or not step.within
+    assert experiment.course.within
+    step, binary, nothing = experiment.others
+    assert experiment.course.characters > max(binary.characters, nothing.characters)
+    assert experiment.course.characters > step.characters or not step.within
     assert nothing.characters == pytest.approx(0.0, abs=1e-9)  # at rest in the room nothing shows
 
 
-def test_the_spread_after_it_is_as_predicted(found: NextExperiment) -> None:
+def test_the_spread_after_it_is_as_predicted(experiment: NextExperiment) -> None:
     """Twelve labs drawn from the prior, recorded over the course with noise and fitted again, prior included:
     the RMS of 36 errors scatters by 12 %; the courses bend, so a factor of 2 is allowed."""
     rng = np.random.default_rng(4)
-    twin = lab(known(0.1))
-    rows = found.course.rows
+    twin = lab(known_to(0.1))
+    rows = experiment.course.rows
     centre = NOMINAL[[0, 2, 3]]
     errors = []
 
@@ -196,26 +196,26 @@ def test_the_spread_after_it_is_as_predicted(found: NextExperiment) -> None:
         true = centre * (1.0 + 0.1 * rng.standard_normal(3))
         recorded = read(true) + NOISE * rng.standard_normal(len(rows))
 
-        def misses(scaled: FloatArray, seen: FloatArray = recorded) -> FloatArray:
-            return np.concatenate([(read(centre * scaled) - seen) / NOISE, (scaled - 1.0) / 0.1])
+        def misses(scaled: FloatArray, measured: FloatArray = recorded) -> FloatArray:
+            return np.concatenate([(read(centre * scaled) - measured) / NOISE, (scaled - 1.0) / 0.1])
 
         fit = least_squares(misses, np.ones(3), bounds=(0.3, 3.0))
-        errors.append((centre * fit.x - true) / found.course.spreads)
+        errors.append((centre * fit.x - true) / experiment.course.spreads)
     ratios = np.sqrt(np.mean(np.square(errors), axis=0))
     assert ((ratios > 0.5) & (ratios < 2.0)).all()
 
 
 def test_more_time_never_tells_less_and_information_adds() -> None:
     """At every mark, of parameters and of pairs; a better known plant has less to tell."""
-    twins = [lab(known(0.2)), lab(known(0.1), Ua=0.05)]
+    twins = [lab(known_to(0.2)), lab(known_to(0.1), Ua=0.05)]
     pair = LearningGoal("pair", tuple(map(Contender, twins)), pairs=True)
     for goal in (goal_named("parameters", twins, terms()), pair):
         curve = _Search(twins, goal, terms(1e3)).curve(Staircase((1.0, 0.2), (0.3, 1.0), 0))
         assert curve is not None
         assert (np.diff(curve) >= -1e-9).all()
         assert curve[-1] > 0.0
-    less_known = lab(known(0.2))
-    better_known = lab(known(0.1))
+    less_known = lab(known_to(0.2))
+    better_known = lab(known_to(0.1))
     ends = []
     for twin in (less_known, better_known):
         search = _Search([twin], goal_named("parameters", [twin], terms()), terms(1e3))
@@ -229,7 +229,7 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
 def test_a_weak_drive_and_grown_losses_are_parted(level: float) -> None:
     """At rest they leave one mark: doing nothing tells nothing of them, and the course decides. At 60 °C four
     times the losses could not be held, at 40 °C they could."""
-    warm = replace(lab(known(0.02)), states=None)
+    warm = replace(lab(known_to(0.02)), states=None)
     asked = replace(terms(200.0), before=np.array([level]))
     best = next_experiment([warm], goal_named("fault", [warm], asked), asked)
     assert best.course.characters >= NEARLY * ENOUGH
@@ -248,6 +248,6 @@ def test_what_cannot_be_asked_is_said() -> None:
     }.items():
         with pytest.raises(ControllerError, match=words):
             goal_named(goal, [exact], terms())
-    member = lab(known(0.2))
+    member = lab(known_to(0.2))
     with pytest.raises(ControllerError, match="no course keeps the bands"):
         next_experiment([member], goal_named("parameters", [member], terms(22.0)), terms(22.0))

@@ -48,9 +48,9 @@ def hour(noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return run.outputs + shaken, run.inputs
 
 
-def record(told: float, noise: float) -> list[LawComparison]:
+def record(assumed_noise: float, noise: float) -> list[LawComparison]:
     """Three sessions with this noise, predicted by a twin that counts on another."""
-    twin, asked = question(told)
+    twin, asked = question(assumed_noise)
     answer = try_controller([twin], asked)
     is_seen = np.ones(len(LEVELS))
     hours = [hour(noise, seed)[0] for seed in (1, 2, 3)]
@@ -87,11 +87,13 @@ def test_a_twin_that_counts_on_less_noise_is_widened_until_the_measured_costs_ar
 
 
 @given(st.lists(st.floats(0.0, 50.0), max_size=40), st.integers(0, 5))
-def test_with_the_widened_band_nine_in_ten_would_have_been_inside(off: list[float], failing: int) -> None:
-    comparisons = [comparison(k, measured=5.0 + away) for k, away in enumerate(off)]
+def test_with_the_widened_band_nine_in_ten_would_have_been_inside(
+    deviations: list[float], failing: int
+) -> None:
+    comparisons = [comparison(k, measured=5.0 + away) for k, away in enumerate(deviations)]
     bad = [comparison(99, decision="fails", measured=1e6)] * failing
     factor, number = widening_of(comparisons + bad)
-    assert number == len(off)
+    assert number == len(deviations)
     assert factor >= 1.0
     if number >= 3:
         assert np.mean([predicted.off <= factor * (1 + 1e-12) for predicted in comparisons]) >= 0.9

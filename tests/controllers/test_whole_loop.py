@@ -53,7 +53,7 @@ def sampled(system: control.StateSpace, period: float, delay: int = 0) -> Linear
 @pytest.mark.parametrize(
     ("integrating", "up", "sensitivity", "delay"), [(False, 3.14, 1.59, 2.14), (True, 2.96, 1.70, 1.59)]
 )
-def test_margins_that_skogestad_published(
+def test_margins_are_those_that_skogestad_published(
     integrating: bool, up: float, sensitivity: float, delay: float
 ) -> None:
     """Skogestad, Simple analytic rules for model reduction and PID controller tuning, J. Process Control 13
@@ -120,11 +120,11 @@ TWO = pid_law(
 )  # fmt: skip
 
 
-def scaled(law: LinearLaw, channel: int, by: float) -> Linear:
-    """The plant with a command that acts `by` times as strongly."""
+def scaled(law: LinearLaw, channel: int, factor: float) -> Linear:
+    """The plant with a command that acts `factor` times as strongly."""
     plant = linearised(PLANT, POINT, law.period)
     b = plant.B.copy()
-    b[:, channel] *= by
+    b[:, channel] *= factor
     return plant._replace(B=b)
 
 
@@ -150,11 +150,11 @@ def delayed(plant: Linear, channel: int, samples: int) -> Linear:
     return plant
 
 
-@pytest.mark.parametrize(("by", "stable"), [(0.97, True), (1.03, False)])
-def test_eigenvalues_say_what_the_simulation_does(by: float, stable: bool) -> None:
+@pytest.mark.parametrize(("factor", "stable"), [(0.97, True), (1.03, False)])
+def test_eigenvalues_say_what_the_simulation_does(factor: float, stable: bool) -> None:
     """Gains at a margin, a little less and a little more: a small deviation decays, or grows as the
     eigenvalue says, over 200 samples of the compiled simulation of the nonlinear plant."""
-    up = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[0].gain_up * by
+    up = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[0].gain_up * factor
     law = pid_law(
         [FilteredPid(proportional=4.0 * up, integral=0.2 * up, derivative=6.0 * up, filter=4.0, **WIDE),
          FilteredPid(proportional=6.0, integral=0.3, weight=0.5, **WIDE)], 2.0,
@@ -225,7 +225,7 @@ def test_an_offset_changes_where_it_rests_and_nothing_else() -> None:
     np.testing.assert_allclose(after - 5.0, before, atol=1e-12)
 
 
-def test_what_it_refuses() -> None:
+def test_laws_that_cannot_close_the_loop_are_refused() -> None:
     with pytest.raises(PlantError, match="filter -1 s must not be negative"):
         FilteredPid(proportional=1.0, filter=-1.0, **WIDE)
     with pytest.raises(PlantError, match="proportional is nan"):

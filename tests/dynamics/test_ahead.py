@@ -45,7 +45,7 @@ RUNS = 1500
 def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     code, vector, states, first, usual, law, memory, references, noise, strays, period, steps
 ):
-    """Readings and commands of a loop whose states stray states every sample."""
+    """Readings and commands of a loop whose states stray at every sample."""
     work = work_for(code, vector)
     u = np.empty(1)
     z = memory.copy()
@@ -59,7 +59,8 @@ def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
         y += noise[k]
         law_step(law, z, references, k, y, u, after)
         z[:] = after
-        both[0, k], both[1, k] = y[0], u[0]
+        both[0, k] = y[0]
+        both[1, k] = u[0]
         tick(code, states, u, usual, work, period, steps)
     return both
 

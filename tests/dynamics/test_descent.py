@@ -35,10 +35,10 @@ def search(
     upper: Sequence[float],
     *,
     most: int = 200,
-    found: Descended | None = None,
+    earlier: Descended | None = None,
 ) -> Descended:
     arrays = (np.array(v, dtype=float) for v in (start, lower, upper))
-    return descend(lambda x: evaluate(x).normal, *arrays, np.ones(len(start)), most, found)
+    return descend(lambda x: evaluate(x).normal, *arrays, np.ones(len(start)), most, earlier)
 
 
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0), (0.0, 0.0)])
@@ -140,7 +140,7 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
         return Curve(np.array([x[0] + 0.1 * x[0] ** 2, 1.0]), np.array([[1.0 + 0.2 * x[0]], [0.0]]))
 
     first = search(well, (3.0,), (-4.0,), (4.0,))
-    second = search(well, (2.0,), (-4.0,), (4.0,), found=first)
+    second = search(well, (2.0,), (-4.0,), (4.0,), earlier=first)
     assert second is first
 
     def two(x: np.ndarray) -> Curve:  # minima at −1 and 2, the second one higher
@@ -149,7 +149,7 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
         )
 
     from_left = search(two, (-2.0,), (-5.0,), (5.0,))
-    from_right = search(two, (3.0,), (-5.0,), (5.0,), found=from_left)
+    from_right = search(two, (3.0,), (-5.0,), (5.0,), earlier=from_left)
     assert from_left.values == pytest.approx([-1.0], abs=1e-3)
     assert from_right.values[0] > 1.5
 
@@ -157,8 +157,8 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
 def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:
     start = np.array([0.5, 0.5])
     bounds = np.array([[0.0, 1.0], [0.2, 2.0]])
-    kinds = [
-        [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
-        for low, high in (bounds.T, bounds.T.copy())
-    ]
-    assert kinds[0] == kinds[1]
+
+    def layouts(low: np.ndarray, high: np.ndarray) -> list[bool]:
+        return [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
+
+    assert layouts(*bounds.T) == layouts(*bounds.T.copy())

@@ -54,7 +54,7 @@ def test_a_controller_picked_up_anywhere_in_a_recording_continues(
         np.testing.assert_allclose(pwm, window.input[2:], atol=1e-3)
 
 
-def test_a_hand_calculation() -> None:
+def test_a_pid_steps_as_calculated_by_hand() -> None:
     pid = Controller(PidGains(2.0, 0.5, 1.0, 0.25, low=-10.0, high=10.0))
     assert pid.step(3.0, 1.0)[0] == 2.0 * 2.0 + 1.0 * 2.0
     assert PidState(*pid.state) == PidState(1.0, 2.0)
@@ -173,7 +173,7 @@ def test_the_same_seed_gives_the_same_run() -> None:
     assert not np.array_equal(first.noise, other_seed.noise)
 
 
-def test_noise_has_its_size() -> None:
+def test_noise_is_white_and_has_its_declared_size() -> None:
     noise = Sensor(noise=0.2).realise(20000, 1.0, 1).noise
     assert np.std(noise) == pytest.approx(0.2, rel=0.02)  # four standard errors of 20000 values
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.03

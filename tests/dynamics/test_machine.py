@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -61,9 +61,12 @@ def assert_all_agree(equations: Derived) -> None:
     """Rates with all derivatives, and outputs with theirs."""
     rates = equations.rates
     outputs = list(equations.outputs)
-    derivatives = [[e.diff(s) for e in rates for s in symbols] for symbols in (P, X, U)]
+
+    def derivatives_by(symbols: Iterable[sympy.Symbol]) -> list[Any]:
+        return [e.diff(s) for e in rates for s in symbols]
+
     right = {
-        "slopes": [*derivatives[0], *rates, *derivatives[1], *derivatives[2]],
+        "slopes": [*derivatives_by(P), *rates, *derivatives_by(X), *derivatives_by(U)],
         "outputs": outputs,
         "output_slopes": [e.diff(s) for symbols in (X, P, U) for e in outputs for s in symbols],
     }

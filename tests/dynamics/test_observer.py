@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
+    Model,
     Observer,
     ObserverBank,
     Parameters,
@@ -33,13 +34,13 @@ MOTOR = Motor.model("with friction")
 Array = Any
 
 
-def differences(function: Any, at: Array) -> Array:
+def differences(function: Any, point: Array) -> Array:
     """Jacobian of a function of an array by central differences."""
     columns = []
-    for j in range(at.size):
-        step = np.zeros(at.size)
-        step[j] = 1e-5 * max(1.0, abs(at[j])) if abs(at[j]) > 0.5 else 1e-6 * max(abs(at[j]), 1e-3)
-        columns.append((function(at + step) - function(at - step)) / (2 * step[j]))
+    for j in range(point.size):
+        step = np.zeros(point.size)
+        step[j] = 1e-5 * max(1.0, abs(point[j])) if abs(point[j]) > 0.5 else 1e-6 * max(abs(point[j]), 1e-3)
+        columns.append((function(point + step) - function(point - step)) / (2 * step[j]))
     return np.array(columns).T
 
 
@@ -61,14 +62,14 @@ class Textbook:
         return self.base.replace(**dict(zip(self.names, z[self.n :].tolist(), strict=True)))
 
     def correct(self, reading: float, row: Array | None) -> tuple[float, float]:
-        def seen(z: Array) -> Array:
+        def measured(z: Array) -> Array:
             return np.array([read(self.plant(z), z[: self.n], row)])
 
-        h = differences(seen, self.z)
+        h = differences(measured, self.z)
         r = np.array([[self.base.model.plant.output.noise**2]])
         s = h @ self.covariance @ h.T + r
         gain = self.covariance @ h.T @ np.linalg.inv(s)
-        surprise = reading - seen(self.z)
+        surprise = reading - measured(self.z)
         self.z = self.z + gain @ surprise
         self.covariance = (np.eye(self.z.size) - gain @ h) @ self.covariance
         return float(surprise[0]), float(s[0, 0])
@@ -111,13 +112,14 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
         np.diag(np.square([*drift, *slow])) * period,
     )
     loads = np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
+    second_share = -0.5 if drive.limits[0] < 0 else 0.5
     for k in range(80):
         row = loads[k] if model.disturbances.size else None
         reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
         expected = textbook.correct(reading, row)
         correction = np.ravel(observer.correct(reading, row))
         np.testing.assert_allclose(correction, expected, rtol=1e-4, atol=1e-6)
-        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else (-0.5 if drive.limits[0] < 0 else 0.5))
+        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else second_share)
         states = advance(base, states, u, period, row)
         observer.predict(u)
         textbook.predict(u, period, row)
@@ -265,14 +267,14 @@ def test_it_continues_in_the_middle_of_a_session() -> None:
 
 def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
     """Structures with one and with two states, readings that are lost, and one that no plant can give."""
+
+    def new_observer(model: Model) -> Observer:
+        n = len(model.states)
+        return Observer(model.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
+
     models = (Peltier.model("held sink"), MASSIVE)
-    alone, together = (
-        [
-            Observer(m.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
-            for n, m in enumerate(models, 1)
-        ]
-        for _ in range(2)
-    )
+    alone = [new_observer(model) for model in models]
+    together = [new_observer(model) for model in models]
     bank = ObserverBank(together)
     rng = np.random.default_rng(3)
     for k in range(60):
@@ -342,7 +344,7 @@ def test_states_that_are_lost_are_said() -> None:
 def test_what_an_observer_cannot_use_is_refused() -> None:
     rig = MASSIVE.parameters()
 
-    def made(**changes: Any) -> Observer:
+    def observer_with(**changes: Any) -> Observer:
         arguments = {"output": 25.0, "period": 1.0, "drift": [0.1, 0.1], "start": [1.0, 1.0]}
         return Observer(rig, **{**arguments, **changes})
 
@@ -359,8 +361,8 @@ def test_what_an_observer_cannot_use_is_refused() -> None:
         ({"period": -1.0}, "the period is -1.0 s"),
     ):
         with pytest.raises(PlantError, match=re.escape(message)):
-            made(**changes)
-    observer = made()
+            observer_with(**changes)
+    observer = observer_with()
     before = observer.states
     with pytest.raises(PlantError, match="the reading is nan"):
         observer.correct(math.nan)

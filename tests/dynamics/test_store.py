@@ -66,7 +66,7 @@ def ended(process: Process) -> str:
 
 
 @pytest.fixture
-def again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]:
+def load_afresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]:
     """Loads a plant as a program that begins does, from that cache; returns the file there."""
     monkeypatch.setenv("TWINMATCH_CACHE", str(tmp_path / "cache"))
 
@@ -84,19 +84,19 @@ def again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]
     return load
 
 
-def test_a_second_use_takes_what_the_first_has_compiled(again: Callable[[], Path]) -> None:
-    stored = again()
+def test_a_second_use_takes_what_the_first_has_compiled(load_afresh: Callable[[], Path]) -> None:
+    stored = load_afresh()
     before = stored.stat()
-    assert again() == stored
+    assert load_afresh() == stored
     assert stored.stat().st_mtime_ns == before.st_mtime_ns
 
 
-def test_a_damaged_file_is_compiled_again(again: Callable[[], Path]) -> None:
-    stored = again()
+def test_a_damaged_file_is_compiled_again(load_afresh: Callable[[], Path]) -> None:
+    stored = load_afresh()
     whole = stored.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], whole[:-1], bytes(reversed(whole))):
         stored.write_bytes(damaged)
-        assert again().read_bytes() == whole
+        assert load_afresh().read_bytes() == whole
 
 
 def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:

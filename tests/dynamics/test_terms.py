@@ -140,9 +140,10 @@ def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
     states = sympy.symbols(f"z:{order}")
     u = sympy.Symbol("u")
     line = DelayLine(tuple(states)).after(u, theta)
-    a = np.array([[float(line.rates[x].diff(z)) for z in states] for x in states])
-    b = np.array([[float(line.rates[x].diff(u))] for x in states])
-    c = np.array([[float(sympy.sympify(line.value).diff(z)) for z in states]])
+    rates = sympy.Matrix([line.rates[x] for x in states])
+    a = np.array(rates.jacobian(states)).astype(float)
+    b = np.array(rates.jacobian([u])).astype(float)
+    c = np.array(sympy.Matrix([line.value]).jacobian(states)).astype(float)
     ours = control.ss(a, b, c, [[0.0]])
     theirs = control.tf(*control.pade(theta, order, numdeg=order - 1))
     frequencies = np.logspace(-2, 1, 30) / theta
@@ -236,7 +237,7 @@ def test_its_linearisation_turns_the_phase() -> None:
         (2.0, (1.0, 0.0), "span of a dead time"),
     ],
 )
-def test_mistakes_are_named(order: int, span: tuple[float, float], words: str) -> None:
+def test_mistakes_in_a_dead_time_are_named(order: int, span: tuple[float, float], words: str) -> None:
     with pytest.raises(PlantError, match=words):
         DeadTime(span=span, order=order, text="flow")
 
@@ -273,7 +274,9 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
 
 
 @given(st.floats(-10.0, 10.0), st.floats(0.0, 3.0), st.floats(0.01, 5.0))
-def test_a_dead_zone_and_dry_friction(value: float, width: float, softness: float) -> None:
+def test_a_dead_zone_passes_the_excess_and_dry_friction_opposes(
+    value: float, width: float, softness: float
+) -> None:
     beyond_zone = float(dead_zone(sympy.Float(value), sympy.Float(width)))
     assert beyond_zone == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
     force = float(dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness)))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
-from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker, no_traces
+from twinmatch.dynamics.tracker import Assumed, Belief, TrackedCourse, Tracker, no_traces
 
 PERIOD = 1.0
 NOISE = 0.01
@@ -34,8 +34,8 @@ def tracker() -> Tracker:
     return Tracker(Lag.model().parameters(), PERIOD, (0.01, 1.0))
 
 
-def first(of: Tracker) -> Belief:
-    return of.begin(0.0, 0.0, np.zeros(0), 0)
+def first(lag_tracker: Tracker) -> Belief:
+    return lag_tracker.begin(0.0, 0.0, np.zeros(0), 0)
 
 
 @settings(max_examples=15)
@@ -86,7 +86,7 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
     drift = lag_tracker.drifts[1].each[0] ** 2 * PERIOD
     swift = lag_tracker.drifts[1].swift
     fading = 0.0
-    fade = lag_tracker._fixed.keeps[lag_tracker.fading]
+    fade, _ = Assumed.of(p, PERIOD).keeps
     strays = lag_tracker.drifts[1].each[lag_tracker.fading] ** 2 * PERIOD
     state = np.zeros(2)
     push = np.array([1.0, 0.0])
@@ -128,11 +128,16 @@ def test_what_is_opened_is_found() -> None:
     assert crept.values[lag_tracker.rate] == pytest.approx(0.02, rel=0.1)
 
 
-@pytest.mark.parametrize("how", [{}, {"rising": -5}, {"lasting": 30}])
-def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(how: dict[str, int]) -> None:
+@pytest.mark.parametrize("course_options", [{}, {"rising": -5}, {"lasting": 30}])
+def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(
+    course_options: dict[str, int],
+) -> None:
     lag_tracker = tracker()
     record = stretch(3, 100, share=0.8)
-    options = {name: lag_tracker.size + value if name == "rising" else value for name, value in how.items()}
+    options = {
+        name: lag_tracker.size + value if name == "rising" else value
+        for name, value in course_options.items()
+    }
     opened = np.full(lag_tracker.size, 0.05)
     before = first(lag_tracker).opened(lag_tracker.rate, 0.0, 0.02)
     whole, cost = TrackedCourse(lag_tracker, before, 0, opened=opened, **options).to(record)

@@ -41,7 +41,7 @@ from twinmatch.signals import FloatArray, Window
 
 
 @pytest.mark.parametrize("written", ["22221", "2 2 2 2 1", "2,2,2,2,1", (2, 2, 2, 2, 1), [2, 2, 2, 2, 1]])
-def test_one_order_written_five_ways(written: str | tuple[int, ...]) -> None:
+def test_an_order_may_be_written_in_five_ways(written: str | tuple[int, ...]) -> None:
     assert parse_order(written) == Order(nb=2, nc=2, nd=2, nf=2, nk=1)
 
 
@@ -232,7 +232,7 @@ def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
     return out
 
 
-def test_filters_are_scipys() -> None:
+def test_filters_give_what_scipys_give() -> None:
     rng = np.random.default_rng(1)
     x = rng.standard_normal(200)
     a = np.array([1.0, -1.1, 0.3, 0.1])

@@ -198,7 +198,8 @@ def test_bounds_are_named(record: Recorder) -> None:
 
 def test_a_value_far_from_its_bound_is_not_on_it_however_wide_the_bounds_are(record: Recorder) -> None:
     posed = problem(record(TRUTH))
-    posed.lower[:], posed.upper[:] = 1e-9, 1e6
+    posed.lower[:] = 1e-9
+    posed.upper[:] = 1e6
     assert on_bounds(posed, np.array([0.075, 0.6, 30.0])) == ()
     assert on_bounds(posed, np.array([1e-9, 0.6, 1e6])) == (posed.names[0], posed.names[2])
 
@@ -212,14 +213,14 @@ F = np.array([1.0, -1.5, 0.7])
 TRUTH_BJ_ESTIMATION = np.concatenate((B[1:], C[1:], D[1:], F[1:]))
 
 
-def held(count: int, rng: np.random.Generator) -> FloatArray:
+def binary_signal(count: int, rng: np.random.Generator) -> FloatArray:
     """A random binary signal that holds each value for four samples."""
     return np.repeat(rng.choice([-1.0, 1.0], size=count // 4 + 1), 4)[:count]
 
 
 def recorded(count: int, seed: int, *, sigma: float = 0.3, skip: int = 0) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    u = held(count + skip, rng)
+    u = binary_signal(count + skip, rng)
     y = lfilter(B, F, u) + lfilter(C, D, sigma * rng.standard_normal(count + skip))
     return u[skip:], y[skip:]
 
@@ -235,7 +236,9 @@ def gas_furnace() -> tuple[FloatArray, FloatArray]:
     return rate - rate.mean(), gas - gas.mean()
 
 
-def test_gas_furnace_from_rest(gas_furnace: tuple[FloatArray, FloatArray]) -> None:
+def test_the_gas_furnace_from_rest_has_the_published_coefficients(
+    gas_furnace: tuple[FloatArray, FloatArray],
+) -> None:
     """A Levenberg–Marquardt program printed these coefficients and 0.0569 for the data from rest."""
     model = estimate(*gas_furnace, (3, 0, 2, 1, 3), initial="zero")
     np.testing.assert_allclose(model.B[3:], [-0.531, -0.380, -0.517], atol=1e-3)
@@ -244,7 +247,9 @@ def test_gas_furnace_from_rest(gas_furnace: tuple[FloatArray, FloatArray]) -> No
     assert model.variance == pytest.approx(0.0569, abs=5e-5)
 
 
-def test_gas_furnace_with_its_start(gas_furnace: tuple[FloatArray, FloatArray]) -> None:
+def test_the_gas_furnace_with_its_start_agrees_with_the_book(
+    gas_furnace: tuple[FloatArray, FloatArray],
+) -> None:
     """The book: −(0.53 + 0.37B + 0.51B²)/(1 − 0.57B), 1/(1 − 1.53B + 0.63B²), σ² = 0.0561."""
     model = estimate(*gas_furnace, (3, 0, 2, 1, 3))
     book = np.array([-0.53, -0.37, -0.51, -1.53, 0.63, -0.57])
@@ -266,17 +271,17 @@ def test_truth_is_recovered_within_its_standard_errors(count: int) -> None:
 
 def test_white_noise_needs_no_noise_model() -> None:
     rng = np.random.default_rng(4)
-    u = held(800, rng)
+    u = binary_signal(800, rng)
     model = estimate(u, lfilter(B, F, u) + 0.1 * rng.standard_normal(800), "20021")
     np.testing.assert_allclose(model.B, B, atol=0.02)
     np.testing.assert_allclose(model.F, F, atol=0.01)
     np.testing.assert_array_equal(model.C, [1.0])
 
 
-def test_closed_loop_data() -> None:
+def test_truth_is_recovered_from_closed_loop_data() -> None:
     rng = np.random.default_rng(5)
     count = 3000
-    reference = held(3000, rng)
+    reference = binary_signal(3000, rng)
     noise = lfilter(C, D, 0.1 * rng.standard_normal(count))
     u = np.zeros(count)
     w = np.zeros(count)
@@ -370,7 +375,7 @@ def test_more_freedom_is_never_worse() -> None:
         assert all(b <= a * (1.0 + 1e-9) for a, b in pairwise(losses))
 
 
-def test_ladder_in_any_order_of_the_rungs() -> None:
+def test_a_ladder_keeps_the_order_of_its_rungs() -> None:
     u, y = recorded(150, 9)
     assert list(estimate_ladder(u, y, ("33331", "22221", (2, 1, 1, 2, 1)))) == ["33331", "22221", "21121"]
 
@@ -402,8 +407,8 @@ def test_what_cannot_be_estimated_is_refused(asked: Callable[..., object], messa
 
 
 @pytest.mark.parametrize("order", ["22221", "55551"])
-def test_data_without_noise(order: str) -> None:
-    u = held(300, np.random.default_rng(12))
+def test_data_without_noise_are_explained_exactly(order: str) -> None:
+    u = binary_signal(300, np.random.default_rng(12))
     y = lfilter(B, F, u, zi=[2.0, 1.0])[0]
     model = estimate(u, y, order)
     assert model.variance < 1e-16 * np.mean(y**2)
@@ -413,8 +418,8 @@ def test_data_without_noise(order: str) -> None:
 
 
 @pytest.mark.parametrize("output", ["zero", "constant", "input"])
-def test_outputs_that_leave_nothing_to_find(output: str) -> None:
-    u = held(120, np.random.default_rng(13))
+def test_outputs_that_leave_nothing_are_explained_exactly(output: str) -> None:
+    u = binary_signal(120, np.random.default_rng(13))
     y = {"zero": np.zeros(120), "constant": np.full(120, 25.0), "input": u}[output]
     model = estimate(u, y, "33330" if output == "input" else "33331")
     # The input itself cannot be predicted one sample ahead; the rest can, exactly.
@@ -422,7 +427,7 @@ def test_outputs_that_leave_nothing_to_find(output: str) -> None:
     assert np.all(np.isfinite(model.coefficients))
 
 
-def test_an_input_that_hardly_varies() -> None:
+def test_an_input_that_hardly_varies_gives_finite_errors() -> None:
     rng = np.random.default_rng(14)
     u = np.full(200, 60.0)
     u[100] += 1e-6
@@ -439,7 +444,7 @@ def test_an_order_that_is_too_high_keeps_a_finite_covariance() -> None:
 
 
 @pytest.mark.parametrize("order", ["10001", "10100", "11001", "21021", (2, 0, 0, 2, 7)])
-def test_polynomials_that_are_missing(order: str) -> None:
+def test_polynomials_may_be_missing(order: str) -> None:
     u, y = recorded(200, 16)
     model = estimate(u, y, order)
     assert model.covariance.shape == (model.n_parameters, model.n_parameters)

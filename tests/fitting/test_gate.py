@@ -138,31 +138,31 @@ def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
     chi2=st.floats(0.0, 1e6),
     condition=st.floats(1.0, 1e9),
     errors=st.lists(st.floats(0.0, 100.0), min_size=3, max_size=3),
-    held=st.floats(0.0, 100.0),
+    held_back=st.floats(0.0, 100.0),
     stands=st.floats(0.0, 100.0),
 )
 def test_only_what_passes_every_limit_is_accepted(
-    chi2: float, condition: float, errors: list[float], held: float, stands: float
+    chi2: float, condition: float, errors: list[float], held_back: float, stands: float
 ) -> None:
     evidence = replace(
         GOOD,
         chi2=chi2,
         condition=condition,
         standard_errors=np.array(errors),
-        held_back_chi2=held,
+        held_back_chi2=held_back,
         incumbent_chi2=stands,
     )
     passes = (
         chi2 <= 40.0
         and condition <= 1000.0
         and bool(np.all(np.array(errors) <= 0.5 * GOOD.values))
-        and held <= 1.1 * stands
+        and held_back <= 1.1 * stands
     )
     assert (judge(evidence, GateLimits())[0] is Status.ACCEPTED) == passes
 
 
 @pytest.mark.parametrize(
-    ("reference", "at"),
+    ("reference", "excited_at"),
     [
         ([30.0, 30.0, 30.0, 32.0, 32.0], 3),
         ([30.0, 30.0, 31.0, 30.5, 29.0], 4),
@@ -172,11 +172,11 @@ def test_only_what_passes_every_limit_is_accepted(
         ([30.0], None),
     ],
 )
-def test_excitation_is_a_movement_of_the_set_point(reference: list[float], at: int | None) -> None:
-    assert first_excited(np.array(reference), 2.0) == at
+def test_excitation_is_a_movement_of_the_set_point(reference: list[float], excited_at: int | None) -> None:
+    assert first_excited(np.array(reference), 2.0) == excited_at
 
 
-def test_limits_have_a_meaning() -> None:
+def test_limits_without_a_meaning_are_refused() -> None:
     with pytest.raises(FittingError, match="the limit condition is 0; it must be positive"):
         GateLimits(condition=0)
     with pytest.raises(FittingError, match=r"held_back is 1\.0; give a share of the window"):

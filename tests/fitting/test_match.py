@@ -384,10 +384,11 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
         other_places = [j for j in range(3) if j != i]
 
         def residuals(
-            x: np.ndarray, i: int = i, end: float = end, others: list[int] = other_places
+            x: np.ndarray, i: int = i, end: float = end, places: list[int] = other_places
         ) -> np.ndarray:
             values = np.empty(3)
-            values[i], values[others] = end, x
+            values[i] = end
+            values[places] = x
             return posed.residuals(values).ravel()
 
         fits = [
@@ -501,12 +502,16 @@ def test_a_vague_prior_changes_nothing_and_a_window_outweighs_a_wrong_one(record
 def test_a_prior_that_is_right_makes_windows_that_show_little_agree(record: Recorder) -> None:
     """Small steps: what one window leaves open was accepted anywhere in its valley."""
     right = {name: Expectation(TRUTH[name], 0.1 * TRUTH[name]) for name in PLATE}
+
+    def errors(a_match: Match) -> list[float]:
+        return [a_match.parameters[name] / TRUTH[name] - 1.0 for name in PLATE]
+
     spread = {}
     for name, prior in (("without", {}), ("with", right)):
         matches = [
             match(record(TRUTH, levels=(40.0, 43.0, 40.0), seed=k), start=START, prior=prior)
             for k in range(6)
         ]
-        spread[name] = np.std([[m.parameters[n] / TRUTH[n] for n in PLATE] for m in matches], axis=0)
+        spread[name] = np.std([errors(a_match) for a_match in matches], axis=0)
     assert (spread["with"] <= 0.6 * spread["without"]).all()
     assert (spread["with"] <= 0.1).all()

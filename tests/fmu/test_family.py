@@ -61,10 +61,7 @@ def _unwatched(structure: Structure) -> Structure:
 def test_wrong_physics_loses_the_choice_of_structures(
     adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
 ) -> None:
-    samples = a_session(600)
-    window = Window(
-        *(np.array([getattr(s, n) for s in samples]) for n in ("reference", "output", "input")), period=1.0
-    )
+    window = Window.from_samples(a_session(600))
     right = adopted(exchange_fmu, "right")
     wrong = adopted(wrong_fmu, "wrong")
     choice = choose_structure(window, [wrong, right, NATIVE])

@@ -30,12 +30,12 @@ from twinmatch.plants import Peltier
 def run_of(adopted: Callable[..., Model], tmp_path: Path) -> Callable[[str], Callable[[], None]]:
     """Something that runs an FMU with a flaw for eight minutes."""
 
-    def of(culprit: str, **changes: object) -> Callable[[], None]:
+    def runner(culprit: str, **changes: object) -> Callable[[], None]:
         fmu = build_python_fmu(tmp_path, f"F{abs(hash(culprit))}", culprit=culprit, steps=2)
         parameters = adopted(fmu, culprit, **changes).parameters()
         return lambda: str(simulate_driven(parameters, np.zeros(480), states=begin(parameters, 30.0)).output)
 
-    return of
+    return runner
 
 
 @pytest.mark.parametrize("culprit", ["hangs", "spins"])
@@ -222,7 +222,7 @@ def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "..\\escaped", "c:escaped"])
 def test_what_leads_out_of_the_archive_is_not_unpacked(exchange_fmu: Path, tmp_path: Path, name: str) -> None:
-    fmu = _changed(exchange_fmu, tmp_path, more={name: b"x"})
+    fmu = _changed(exchange_fmu, tmp_path, replaced={name: b"x"})
     with pytest.raises(FmuError, match="a path outside its folder; it is not unpacked"):
         adopt_fmus(write_map(tmp_path, fmu))
     assert not list(tmp_path.parent.glob("escaped"))
@@ -254,7 +254,8 @@ def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
         content = bytes(1 << 20)
         with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as opened:
             opened.writestr("zeros", content)
-            opened.filelist[0].file_size, opened.filelist[0].CRC = 10, zlib.crc32(content[:length])
+            opened.filelist[0].file_size = 10
+            opened.filelist[0].CRC = zlib.crc32(content[:length])
         words = "is not an FMU, or is damaged: Bad CRC-32 for file 'zeros'"
         with pytest.raises(FmuError, match=words) if refused else contextlib.nullcontext():
             archive.unpack(fmu, tmp_path / named)
@@ -273,7 +274,7 @@ def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
 def test_a_broken_description_is_one_line(
     exchange_fmu: Path, tmp_path: Path, xml: bytes, words: str, capsys
 ) -> None:
-    fmu = _changed(exchange_fmu, tmp_path, more={"modelDescription.xml": xml})
+    fmu = _changed(exchange_fmu, tmp_path, replaced={"modelDescription.xml": xml})
     assert main(["fmu", str(fmu)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
@@ -338,7 +339,7 @@ def test_a_description_that_is_wrong_is_reported(
 def test_an_invalid_or_missing_library_is_reported(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
     path = "binaries/linux64/plate.so"
     with pytest.raises(FmuError, match=f"its {path} is not a library for this machine: file too short"):
-        adopted(_changed(exchange_fmu, tmp_path, more={path: b"MZ"}))
+        adopted(_changed(exchange_fmu, tmp_path, replaced={path: b"MZ"}))
     with pytest.raises(FmuError, match=f"it has no {path}, the program for this machine"):
         adopted(_changed(exchange_fmu, tmp_path, rename=lambda name: name.replace("plate.so", "pl.so")))
 
@@ -370,17 +371,19 @@ def _described(fmu: Path, folder: Path, change: tuple[str, str]) -> Path:
     with zipfile.ZipFile(fmu) as opened:
         xml = opened.read("modelDescription.xml").decode()
     assert change[0] in xml
-    return _changed(fmu, folder, more={"modelDescription.xml": xml.replace(*change).encode()})
+    return _changed(fmu, folder, replaced={"modelDescription.xml": xml.replace(*change).encode()})
 
 
-def _changed(fmu: Path, folder: Path, rename=lambda name: name, more: dict[str, bytes] | None = None) -> Path:
+def _changed(
+    fmu: Path, folder: Path, rename=lambda name: name, replaced: dict[str, bytes] | None = None
+) -> Path:
     """The FMU with other names or other files in it."""
     changed = folder / f"changed_{fmu.name}"
     with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():
-            if name not in (more or {}):
+            if name not in (replaced or {}):
                 new.writestr(rename(name), old.read(name))
-        for name, data in (more or {}).items():
+        for name, data in (replaced or {}).items():
             new.writestr(name, data)
     return changed
 

@@ -21,10 +21,10 @@ ARX = "a small model"
 
 
 def entered(
-    errors: dict[str, FloatArray], kept: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
+    errors: dict[str, FloatArray], forgetting: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
 ) -> Ledger:
     """A ledger after one forecast for each column, shape (2, n) by name; the baselines may be the same."""
-    ledger = Ledger(np.ones(horizons), noise, kept)
+    ledger = Ledger(np.ones(horizons), noise, forgetting)
     names = [name for name in errors if name not in {PERSISTENCE, ARX}]
     came = np.array([errors[name] for name in names])
     baselines = np.array([errors[PERSISTENCE], errors.get(ARX, errors[PERSISTENCE])])
@@ -68,7 +68,7 @@ def test_a_boast_does_not_pay() -> None:
     """The width follows from earlier errors, so a single large error after many small ones costs dearly."""
     steady = drawn(1.0, 100, 1)
     calm = np.append(drawn(0.31, 99, 1), 40.0 * NOISE[:, None], axis=1)
-    ledger = entered({PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm}, kept=0.9)
+    ledger = entered({PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm}, forgetting=0.9)
     steady_gain, calm_gain = ledger.gains(["steady", "calm"])[:, 0]
     assert steady_gain > calm_gain
 
@@ -89,7 +89,7 @@ def test_the_past_is_forgotten() -> None:
     turned = np.concatenate([late, early], axis=1)
     fallen = np.concatenate([early, late], axis=1)
     persistence = drawn(8.0, 200, 3)
-    ledger = entered({PERSISTENCE: persistence, "fallen": fallen, "turned": turned}, kept=0.97)
+    ledger = entered({PERSISTENCE: persistence, "fallen": fallen, "turned": turned}, forgetting=0.97)
     fallen_gain, turned_gain = ledger.gains(["fallen", "turned"])[:, 0]
     assert turned_gain > fallen_gain
     assert ledger.forecasts("turned") == pytest.approx(1 / 0.03, rel=0.01)
@@ -177,10 +177,10 @@ RECENT = float(np.exp(-1 / 10))
 
 
 def learned(
-    quotients: FloatArray, kept: float = MEMORY, recent: float = RECENT
+    quotients: FloatArray, forgetting: float = MEMORY, recent: float = RECENT
 ) -> tuple[FloatArray, FloatArray]:
     """The widths before each of the quotients, shape (n, signals), and whether it lay within."""
-    calibration = Calibration((1,), kept, recent, quotients.shape[1])
+    calibration = Calibration((1,), forgetting, recent, quotients.shape[1])
     widths = []
     for row in quotients:
         widths.append(calibration.widths[:, 0])
@@ -194,8 +194,8 @@ def test_it_begins_as_a_normal_distribution_would_have_it() -> None:
     assert Calibration((1, 10), 1.0, 1.0).widths == pytest.approx(np.full((2, 2), expected), rel=1e-12)
 
 
-@pytest.mark.parametrize("of", ["normal", "laplace", "narrow", "wide"])
-def test_it_holds_what_it_promises_whatever_the_errors_are_like(of: str) -> None:
+@pytest.mark.parametrize("kind", ["normal", "laplace", "narrow", "wide"])
+def test_it_holds_what_it_promises_whatever_the_errors_are_like(kind: str) -> None:
     """In 3000 draws the share within has a standard error of 0.005; what is learned first costs some more."""
     random = np.random.default_rng(7)
     draws = {
@@ -203,8 +203,8 @@ def test_it_holds_what_it_promises_whatever_the_errors_are_like(of: str) -> None
         "laplace": random.laplace(size=(3000, 2)),
         "narrow": 0.1 * random.normal(size=(3000, 2)),
         "wide": 7.0 * random.standard_t(3, size=(3000, 2)),
-    }[of]
-    _, inside = learned(np.abs(draws), kept=0.99)
+    }[kind]
+    _, inside = learned(np.abs(draws), forgetting=0.99)
     assert inside.mean(axis=0) == pytest.approx([CONFIDENCE, CONFIDENCE], abs=0.025)
 
 
@@ -229,13 +229,13 @@ def test_it_holds_while_the_noise_drifts() -> None:
     def scored(widths: FloatArray) -> float:
         return float(np.mean(2.0 * widths + 20.0 * np.maximum(drawn - widths, 0.0)))
 
-    def found(recent: float) -> tuple[float, float]:
+    def share_and_loss(recent: float) -> tuple[float, float]:
         widths, inside = learned(drawn, recent=recent)
         rolling = np.convolve(inside[60:].mean(axis=1), np.full(40, 1 / 40), "valid")
         return rolling.min(), scored(widths) / scored(norm.ppf(0.95) * sizes) - 1.0
 
-    worst, lost = found(RECENT)
-    worst_without, lost_without = found(MEMORY)
+    worst, lost = share_and_loss(RECENT)
+    worst_without, lost_without = share_and_loss(MEMORY)
     assert worst > max(0.8, worst_without + 0.04)
     assert lost < min(0.13, lost_without - 0.1)
 
@@ -319,26 +319,29 @@ def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample],
         u = float(pid.step(reference, y)[0]) if gains else random.uniform(-1.0, 1.0)
         samples.append(Sample(k, 0, reference, y, u, (room,)))
         states.append(pid.state)
-        y, y_before, u_before = plant(y, y_before, u, u_before, room), y, u
+        y_next = plant(y, y_before, u, u_before, room)
+        y_before = y
+        u_before = u
+        y = y_next
     return samples, states
 
 
-def fed(samples: list[Sample], gains: PidGains | None, kept: float = 1.0) -> Arx:
-    arx = Arx(gains, kept)
+def fed(samples: list[Sample], gains: PidGains | None, forgetting: float = 1.0) -> Arx:
+    arx = Arx(gains, forgetting)
     for sample in samples:
         arx.push(sample)
     return arx
 
 
 def future(
-    samples: list[Sample], at: int, gains: PidGains | None
+    samples: list[Sample], newest: int, gains: PidGains | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Condition, disturbances and measured signals after the sample `at`."""
-    later = samples[at + 1 :]
+    """Condition, disturbances and measured signals after the sample `newest`."""
+    later = samples[newest + 1 :]
     condition = np.array([s.reference if gains else s.input for s in later])
     return (
         condition,
-        np.array([s.disturbances for s in samples[at:]]),
+        np.array([s.disturbances for s in samples[newest:]]),
         np.array([[s.output, s.input] for s in later]).T,
     )
 
@@ -425,11 +428,10 @@ def test_older_samples_weigh_less() -> None:
     for k, s in enumerate(samples):
         factor = 2.0 if k >= 200 else 1.0
         doubled.append(Sample(k, 0, 0.0, y, s.input, s.disturbances))
-        y, y_before, u_before = (
-            plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0]),
-            y,
-            s.input,
-        )
+        y_next = plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0])
+        y_before = y
+        u_before = s.input
+        y = y_next
     slopes = [
         fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)
     ]

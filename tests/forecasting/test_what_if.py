@@ -121,7 +121,7 @@ def test_answers_are_in_order(
 
 
 @pytest.mark.parametrize(
-    ("question", "said"),
+    ("question", "message"),
     [
         ({"horizon": 0.0}, "the horizon is 0 s; give a positive time"),
         ({"horizon": math.inf}, "the horizon is inf s; give a positive time"),
@@ -133,8 +133,10 @@ def test_answers_are_in_order(
         ({"tolerance": 0.0}, "the tolerance is 0; give a positive one"),
     ],
 )
-def test_questions_without_an_answer(outlook: Outlook, question: dict[str, Any], said: str) -> None:
-    with pytest.raises(ForecastError, match=said):
+def test_questions_without_an_answer_are_refused(
+    outlook: Outlook, question: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ForecastError, match=message):
         what_if(outlook, Question(**question))
 
 
@@ -184,8 +186,8 @@ def test_a_lag_reaches_its_level_when_its_solution_does() -> None:
     time = 0.1 * np.arange(1, 1201)
     lag_forecast = forecast(40 + 20 * (1 - np.exp(-time / 10)), np.zeros(time.size), 2.0, 0.1)
 
-    def when(left: float) -> float:
-        return 10 * math.log(20 / left)
+    def when(distance: float) -> float:
+        return 10 * math.log(20 / distance)
 
     reached = time_to_reach(lag_forecast, 55.0, 0.5)
     assert reached.expected == pytest.approx(when(5.5), abs=0.11)

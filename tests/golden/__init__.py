@@ -73,7 +73,8 @@ def entry_of(name: str, folder: Path) -> Entry:
 
 def digest(documents: dict[str, Any]) -> Entry:
     """Digests and figures of what commands wrote, by their names."""
-    whole, parts = hashlib.sha256(), {}
+    whole = hashlib.sha256()
+    parts = {}
     for path, value in _leaves(documents):
         line = f"{'.'.join(path)} {value}\n".encode()
         whole.update(line)
@@ -86,24 +87,24 @@ def digest(documents: dict[str, Any]) -> Entry:
     }
 
 
-def compare(name: str, found: Entry) -> tuple[list[str], str]:
+def compare(name: str, entry: Entry) -> tuple[list[str], str]:
     """What differs from the file, and what was compared, in words."""
     stored: Entry = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     figures = [
-        f"{key} is {found['figures'].get(key)!r} and was {stored['figures'].get(key)!r}"
-        for key in stored["figures"] | found["figures"]
-        if not _alike(stored["figures"].get(key), found["figures"].get(key))
+        f"{key} is {entry['figures'].get(key)!r} and was {stored['figures'].get(key)!r}"
+        for key in stored["figures"] | entry["figures"]
+        if not _alike(stored["figures"].get(key), entry["figures"].get(key))
     ]
     differing = [
-        key for key, value in stored["fingerprint"].items() if found["fingerprint"].get(key) != value
+        key for key, value in stored["fingerprint"].items() if entry["fingerprint"].get(key) != value
     ]
     if differing:
         figures = [line for line in figures if not line.startswith(UNSTEADY)]
         return figures, f"figures only, as {', '.join(differing)} differ"
-    if stored["bits"] == found["bits"]:
+    if stored["bits"] == entry["bits"]:
         return [], "every bit"
-    groups = stored["parts"] | found["parts"]
-    moved = [group for group in groups if stored["parts"].get(group) != found["parts"].get(group)]
+    groups = stored["parts"] | entry["parts"]
+    moved = [group for group in groups if stored["parts"].get(group) != entry["parts"].get(group)]
     return [f"bits differ in {', '.join(moved)}", *figures], "every bit"
 
 
@@ -191,7 +192,10 @@ def _group(path: tuple[str, ...]) -> str:
 
 @cache
 def _named(keys: tuple[str, ...]) -> str:
-    return next((group for group, names in GROUPS if any(names.search(key) for key in keys)), "session")
+    for group, names in GROUPS:
+        if any(names.search(key) for key in keys):
+            return group
+    return "session"
 
 
 def _figures(documents: dict[str, Any]) -> dict[str, Any]:
@@ -203,7 +207,9 @@ def _figures(documents: dict[str, Any]) -> dict[str, Any]:
 
 
 def _replay_figures(document: dict[str, Any]) -> dict[str, Any]:
-    summary, verdicts, matches = document["summary"], document["verdicts"], document["matches"]
+    summary = document["summary"]
+    verdicts = document["verdicts"]
+    matches = document["matches"]
     return {
         "verdicts": len(verdicts),
         "matches": len(matches),
@@ -231,13 +237,11 @@ def _report_figures(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forecast_figures(document: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        f"at {forecast['sample']}": [
-            forecast["candidate"],
-            *(forecast["y"][edge][-1] for edge in ("low", "mean", "high")),
-        ]
-        for forecast in document
-    }
+    figures = {}
+    for forecast in document:
+        at_end = [forecast["y"][edge][-1] for edge in ("low", "mean", "high")]
+        figures[f"at {forecast['sample']}"] = [forecast["candidate"], *at_end]
+    return figures
 
 
 FIGURES: Final[dict[str, Callable[[Any], dict[str, Any]]]] = {
@@ -255,9 +259,9 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _alike(one: Any, other: Any) -> bool:
-    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        return all(map(_alike, one, other))
-    if isinstance(one, float) and isinstance(other, float):
-        return math.isclose(one, other, rel_tol=ROUGHLY)
-    return bool(one == other)
+def _alike(value: Any, expected: Any) -> bool:
+    if isinstance(value, list) and isinstance(expected, list) and len(value) == len(expected):
+        return all(map(_alike, value, expected))
+    if isinstance(value, float) and isinstance(expected, float):
+        return math.isclose(value, expected, rel_tol=ROUGHLY)
+    return bool(value == expected)

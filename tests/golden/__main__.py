@@ -27,7 +27,8 @@ def main() -> int:
     if options.list:
         print("\n".join(names))
         return 0
-    context, begun = multiprocessing.get_context("spawn"), time.monotonic()
+    context = multiprocessing.get_context("spawn")
+    begun = time.monotonic()
     failed: list[str] = []
     with ProcessPoolExecutor(min(WORKERS, len(names)), mp_context=context) as pool:
         futures = {pool.submit(work, name, making=options.make): name for name in names}
@@ -36,7 +37,12 @@ def main() -> int:
             failed += [] if right else [futures[future]]
             print(f"[{count}/{len(names)}] {futures[future]}: {sentence}", flush=True)
     print(f"{len(names)} sources in {time.monotonic() - begun:.0f} s", end="")
-    print(f"; DIFFERENT: {', '.join(failed)}" if failed else "; nothing differs" if not options.make else "")
+    if failed:
+        print(f"; DIFFERENT: {', '.join(failed)}")
+    elif options.make:
+        print()
+    else:
+        print("; nothing differs")
     return 1 if failed else 0
 
 

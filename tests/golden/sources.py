@@ -109,7 +109,8 @@ def _quarter(folder: Path) -> Path:
 
 
 def _forecasts(folder: Path) -> Documents:
-    session, out = _quarter(folder), folder / "forecast.json"
+    session = _quarter(folder)
+    out = folder / "forecast.json"
     return {
         "held": _run("forecast", session, "--at", 500, 700, "--hold", 70, out=out),
         "recorded": _run("forecast", session, "--at", 600, "--reference", "recorded", out=out),

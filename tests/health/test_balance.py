@@ -46,7 +46,10 @@ def test_an_error_of_drive_and_losses_is_learned() -> None:
         full = balance.block()
         if full is not None:
             balance.learn(*full, healthy=True)
-        (early if k < 300 else late if k > 2000 else []).append(abs(movement.unexplained))
+        if k < 300:
+            early.append(abs(movement.unexplained))
+        elif k > 2000:
+            late.append(abs(movement.unexplained))
     values, _ = balance.knowledge
     assert values[0] == pytest.approx(-0.2, abs=0.06)
     assert values[1] == pytest.approx(-0.2, abs=0.06)

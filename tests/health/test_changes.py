@@ -32,7 +32,7 @@ from twinmatch.signals import Sample
 )
 def test_a_change_is_named_and_hardly_ever_called_another(kind: str, least: int) -> None:
     """Six rigs of the thirty of docs/health.md."""
-    counts = Counter(name for name, _ in (rig.names_told(kind, seed) for seed in range(6)))
+    counts = Counter(rig.names_told(kind, seed)[0] for seed in range(6))
     right = {"fan": "losses-changed", "roo": "room-changed", "sup": "drive-weak", "rea": "sensor-drift"}[
         kind[:3]
     ]
@@ -138,8 +138,8 @@ def motors(*kinds: str) -> list[Monitor]:
     monitor = Monitor(HealthSettings.of(Motor, period))
     reference = random.uniform(-150.0, 150.0, 60)
 
-    def run(until: float, at: Any, kind: str = "") -> Any:
-        k, states, pid, random, monitor = at
+    def run(until: float, before: Any, kind: str = "") -> Any:
+        k, states, pid, random, monitor = before
         while k * period < until:
             wanted = float(reference[k // 200])
             y = read(truth, states) + random.normal(0.0, 0.2)

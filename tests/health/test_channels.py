@@ -56,10 +56,10 @@ def kit_21(mishap: str = "nothing") -> tuple[ChannelMonitor, Iterator[Sample]]:
     return copied(_before_anything_happens()), islice(run(21, mishap), BEGINS, None)
 
 
-def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more: float = 0.0) -> Sample:
+def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, added: float = 0.0) -> Sample:
     """The sample with another output or input of one channel."""
     values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
-    values[signal][channel] = factor * values[signal][channel] + more
+    values[signal][channel] = factor * values[signal][channel] + added
     commands = tuple(values["inputs"])
     read = tuple(values["outputs"])
     return Sample(sample.index, sample.stamp, sample.references, read, commands)
@@ -91,7 +91,7 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
     monitor = watched(samples, onset)
     assert monitor.alarms == ()
     for sample in islice(samples, 6):
-        monitor.push(changed(sample, "outputs", 1, more=-5.0))
+        monitor.push(changed(sample, "outputs", 1, added=-5.0))
     (alarm,) = monitor.alarms
     assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
     assert onset <= alarm.flagged <= onset + 5
@@ -101,7 +101,7 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
     inside = []
     assert list(through) == [1]
     for sample in islice(samples, 900):
-        monitor.push(changed(sample, "outputs", 1, more=-5.0))
+        monitor.push(changed(sample, "outputs", 1, added=-5.0))
         errors.append(through[1].estimate.value - sample.outputs[1])
         inside.append(abs(errors[-1]) <= through[1].estimate.band)
     assert monitor.alarms == (alarm,)
@@ -164,7 +164,7 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
     for sample in run(23, "nothing", 1400):
         if 600 <= sample.index < 1200:
             continue
-        lost = changed(sample, "outputs", 0, more=math.nan if sample.index % 40 == 0 else 0.0)
+        lost = changed(sample, "outputs", 0, added=math.nan if sample.index % 40 == 0 else 0.0)
         monitor.push(lost)
     assert monitor.alarms == ()
 
@@ -173,9 +173,9 @@ def test_while_no_sensor_is_right_none_is_read_through() -> None:
     monitor, samples = kit_21()
     read_through = []
     for sample in islice(samples, 60):
-        wrong_sample = changed(sample, "outputs", 0, more=5.0)
+        wrong_sample = changed(sample, "outputs", 0, added=5.0)
         if sample.index >= BEGINS + 20:
-            wrong_sample = changed(wrong_sample, "outputs", 1, more=-5.0)
+            wrong_sample = changed(wrong_sample, "outputs", 1, added=-5.0)
         monitor.push(wrong_sample)
         read_through.append({estimate.signal for estimate in monitor.estimates})
     assert read_through[19] == {"temperature"}
@@ -199,7 +199,7 @@ def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
     monitor, samples = kit_21()
     estimates = []
     for sample in islice(samples, 30):
-        monitor.push(changed(sample, "outputs", 0, more=math.nan))
+        monitor.push(changed(sample, "outputs", 0, added=math.nan))
         estimates += [(estimate, sample.outputs[0]) for estimate in monitor.estimates]
     first, _ = estimates[0]
     assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
@@ -212,7 +212,7 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
     """Drive 2 and sensor 2 have one number; the drive works again, the sensor still lies."""
     monitor, samples = kit_21()
     for sample in islice(samples, 420):
-        wrong_sample = changed(sample, "outputs", 1, more=5.0)
+        wrong_sample = changed(sample, "outputs", 1, added=5.0)
         if BEGINS + 60 <= sample.index < BEGINS + 180:
             wrong_sample = changed(wrong_sample, "inputs", 1, factor=3.0)
         monitor.push(wrong_sample)

@@ -210,8 +210,8 @@ def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
     assert len(monitor.alarms) == 1
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(told: bool) -> None:
+@pytest.mark.parametrize("reported", [True, False])
+def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(reported: bool) -> None:
     """The output was zero because the guard put it there, and the controller's samples say so."""
     reference = np.repeat([40.0, 70.0, 45.0], 250)
     held_range = range(260, 420)
@@ -220,14 +220,14 @@ def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(told: bool) ->
     samples = []
     noise = np.random.default_rng(3).normal(0.0, 0.1, reference.size)
     for k, level in enumerate(reference.tolist()):
-        loop.held = told and k in held_range
+        loop.held = reported and k in held_range
         loop.measure(read(RIG(), states) + float(noise[k]), k * 10**9)
         sample = loop.tick(k * 10**9, lambda _, level=level: level)  # type: ignore[misc]
         assert sample is not None
         samples.append(sample)
         states = advance(RIG(), states, 0.0 if k in held_range else sample.input, 1.0)
     monitor, _ = rig.watch(samples)
-    assert [alarm.fault for alarm in monitor.alarms] == ([] if told else [Fault.DRIVE_LOST])
+    assert [alarm.fault for alarm in monitor.alarms] == ([] if reported else [Fault.DRIVE_LOST])
 
 
 def test_a_gap_starts_over_and_a_new_session_has_a_new_record() -> None:

@@ -26,10 +26,10 @@ START = begin(KIT, 69.0)
 ROWS = np.tile(KIT.model.disturbances, (SIZE, 1))
 
 
-def readings(cause: Cause, onset: int, size: float, given: FloatArray, seed: int) -> FloatArray:
+def readings(cause: Cause, onset: int, size: float, commands: FloatArray, seed: int) -> FloatArray:
     """Of a kit to which this happens at the onset, under a given input."""
     after = np.arange(SIZE) >= onset
-    acts = np.where(after & (cause is Cause.DRIVE), 0.0, given)
+    acts = np.where(after & (cause is Cause.DRIVE), 0.0, commands)
     acts = acts + np.where(after & (cause is Cause.PUSH), 30.0 * size, 0.0)
     output = simulate_driven(KIT, acts, states=START, disturbances=ROWS).output
     output = output + np.random.default_rng(seed).normal(0.0, 0.1, SIZE)

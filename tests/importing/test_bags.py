@@ -47,10 +47,10 @@ PERIOD = 0.5
 MAP = ["output=/rack:readings[1].value", "input=/heater", "reference=/sp:data", "room=/room:temperature"]
 
 
-def rack(at: float, value: float) -> Any:
+def rack(seconds: float, value: float) -> Any:
     reading = STORE.types["lab_msgs/msg/Reading"]
     readings = [reading(value=0.0, name="spare"), reading(value=value, name="block")]
-    return STORE.types["lab_msgs/msg/Rack"](header=header(at), readings=readings)
+    return STORE.types["lab_msgs/msg/Rack"](header=header(seconds), readings=readings)
 
 
 def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[float, str, Any]]:
@@ -177,7 +177,7 @@ def test_without_a_set_point_the_session_says_so(tmp_path: Path, plant: Path) ->
     assert not read_session(tmp_path / "session").has_reference
 
 
-def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
+def test_a_bag_is_imported_with_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
     timed_messages = messages()
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
     entries = parse_map([*MAP[1:], "output=/rack:readings[1].value; scale=0.5; offset=1"])

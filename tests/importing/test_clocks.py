@@ -47,19 +47,19 @@ def ticks(count: int = ROWS, first: int = 0) -> Iterator[tuple[float, float]]:
         yield k * STEP, 20.0 + 0.1 * k
 
 
-def loop(at: float, reading: float, *, recorded: float | None = None) -> Messages:
-    recorded = at if recorded is None else recorded
+def loop(seconds: float, reading: float, *, recorded: float | None = None) -> Messages:
+    recorded = seconds if recorded is None else recorded
     return [
-        (recorded, "/block", temperature(at, reading)),
+        (recorded, "/block", temperature(seconds, reading)),
         (recorded + 0.01, "/heater", number(reading)),
     ]
 
 
-def bag_of(folder: Path, made: Messages, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+def bag_of(folder: Path, timed_messages: Messages, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
     """Write messages in this order, whatever their times are."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         connections: dict[str, Any] = {}
-        for seconds, name, message in made:
+        for seconds, name, message in timed_messages:
             kind = message.__msgtype__
             if name not in connections:
                 connections[name] = writer.add_connection(name, kind, typestore=STORE)
@@ -208,36 +208,38 @@ def test_an_input_that_is_published_when_it_changes_applies_until_then(
     assert [run.samples[k].input for k in (5, 12, 60, 110)] == [80.0, 0.0, 50.0, 20.0]
 
 
-def joints(at: float, **positions: float) -> Any:
-    header = temperature(at, 0.0).header
+def joints(seconds: float, **positions: float) -> Any:
+    header = temperature(seconds, 0.0).header
     values = np.array(list(positions.values()))
     return STORE.types["sensor_msgs/msg/JointState"](
         header=header, name=list(positions), position=values, velocity=np.array([]), effort=values
     )
 
 
-def reordered(k: int, at: float, value: float) -> Messages:
+def reordered(k: int, seconds: float, value: float) -> Messages:
     both = {"arm/elbow": value, "wrist": -5.0}
-    return [(at, "/joint_states", joints(at, **(both if k < 60 else dict(reversed(both.items())))))]
+    return [(seconds, "/joint_states", joints(seconds, **(both if k < 60 else dict(reversed(both.items())))))]
 
 
-def with_gripper(k: int, at: float, value: float) -> Messages:
-    arm_message = (at, "/joint_states", joints(at, **{"arm/elbow": value}))
+def with_gripper(k: int, seconds: float, value: float) -> Messages:
+    arm_message = (seconds, "/joint_states", joints(seconds, **{"arm/elbow": value}))
     return (
-        [arm_message, (at + 0.2, "/joint_states", joints(at + 0.2, gripper=-5.0))] if k % 2 else [arm_message]
+        [arm_message, (seconds + 0.2, "/joint_states", joints(seconds + 0.2, gripper=-5.0))]
+        if k % 2
+        else [arm_message]
     )
 
 
-@pytest.mark.parametrize(("made", "other"), [(reordered, "wrist"), (with_gripper, "gripper")])
+@pytest.mark.parametrize(("messages_of", "other_name"), [(reordered, "wrist"), (with_gripper, "gripper")])
 def test_a_joint_is_followed_by_its_name_and_not_by_an_index_that_changes(
-    made: Any, other: str, tmp_path: Path, plant: type[Plant]
+    messages_of: Any, other_name: str, tmp_path: Path, plant: type[Plant]
 ) -> None:
     joint_messages = [
-        message for k, (seconds, value) in enumerate(ticks()) for message in made(k, seconds, value)
+        message for k, (seconds, value) in enumerate(ticks()) for message in messages_of(k, seconds, value)
     ]
     source = bag_of(tmp_path / "bag", SETPOINT + joint_messages)
     entries = "output=/joint_states:position[{0}]", "input=/joint_states:effort[{0}]", "reference=/sp"
-    words = rf"position\[0\] is arm/elbow in one message and {other} in another; .*position\[arm/elbow\]"
+    words = rf"position\[0\] is arm/elbow in one message and {other_name} in another; .*position\[arm/elbow\]"
     with pytest.raises(RecordingError, match=words):
         mapped(source, plant, [entry.format(0) for entry in entries])
     run = mapped(source, plant, [entry.format("arm/elbow") for entry in entries])

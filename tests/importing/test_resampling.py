@@ -29,7 +29,7 @@ def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
     assert resampled.sentence == "50 rows, one every 3 s"
 
 
-def test_each_kind_by_hand():
+def test_readings_are_interpolated_inputs_averaged_and_set_points_held():
     """Rows at 0, 1.2, 1.8, 3 s; ticks at 0, 1, 2, 3 s."""
     columns = {"y": [0.0, 12.0, 18.0, 30.0], "u": [1.0, 0.0, 1.0, 5.0], "r": [7.0, 8.0, 9.0, 10.0]}
     kinds = {"y": "reading", "u": "held", "r": "set"}
@@ -212,7 +212,7 @@ def test_within_a_day_the_clock_tells_the_custom() -> None:
         ("22/01/2021 14:48 PM", None),
     ],
 )
-def test_forms(text: str, seconds: float | None) -> None:
+def test_a_date_is_read_in_any_of_its_forms_or_not_at_all(text: str, seconds: float | None) -> None:
     assert in_order(text, DAY_FIRST) == seconds
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -85,8 +87,7 @@ def test_only_the_newest_sessions_count_and_equal_names_are_told_apart() -> None
     old = [taught(k, conductance=0.5) for k in range(1, 50)]
     new = [taught(k) for k in range(100, 100 + MAX_SESSIONS)]
     assert start_from(old + new, Peltier)[0].parameters["conductance"] == RIG["conductance"]
-    parts = [{name: getattr(lesson, name) for name in Lesson.__dataclass_fields__} for lesson in new[:2]]
-    twins = start_from([Lesson(**(fields | {"name": "today"})) for fields in parts], Peltier)
+    twins = start_from([replace(lesson, name="today") for lesson in new[:2]], Peltier)
     assert [c.name for c in twins] == [CENTRE, "session today", "session today (2)"]
 
 

@@ -268,7 +268,7 @@ def change(path: Path, statement: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "message"),
     [
         (garbage, "is not a memory of twinmatch; give another file, or move it away"),
         (foreign, "is a database of another program; give another file"),
@@ -282,10 +282,10 @@ def change(path: Path, statement: str) -> None:
         (truncated, "is damaged .*; move it away, and remember its sessions again"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, damage, said):
+def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, damage, message):
     memory = Memory(tmp_path / "rig.sqlite")
     damage(memory.path)
-    with pytest.raises(MemoryFaultError, match=rf"^memory .*rig\.sqlite: {said}"):
+    with pytest.raises(MemoryFaultError, match=rf"^memory .*rig\.sqlite: {message}"):
         memory.lessons()
 
 

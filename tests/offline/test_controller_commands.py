@@ -45,7 +45,9 @@ def judged_once(members_of: Callable[..., tuple[TriedTwin, ...]]) -> Iterator[No
         yield
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_try_controller_has_an_exit_code_for_each_decision(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Three laws, three exit codes; the answer as JSON, and as a figure."""
     out = tmp_path / "answer.json"
     figure = tmp_path / "answer.svg"
@@ -68,7 +70,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "cannot be read" in capsys.readouterr().err
 
 
-def test_the_next_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The course in words, as JSON and as a figure; what cannot be asked is one line."""
     out = tmp_path / "course.json"
     figure = tmp_path / "course.svg"
@@ -231,7 +235,7 @@ def test_later_answers_are_as_wide_as_the_record_asks_for(
      (["--set", "x=1@2"], "--set x=1@2: give NAME=LEVEL@S"),
      (["--set", "temperature=500@0"], "temperature: profile: row 1")],
 )  # fmt: skip
-def test_mistakes_on_the_command_line(
+def test_mistakes_on_the_command_line_are_named(
     options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), *options]) == 2

@@ -125,7 +125,7 @@ def test_the_noise_is_that_of_the_readings(session: Session) -> None:
     assert still.noise == pytest.approx([Peltier.output.noise])
 
 
-def test_profiles() -> None:
+def test_profiles_step_one_set_point_at_a_time_or_as_planned() -> None:
     usual = usual_profile(Heaters, LEVEL, 10)
     assert usual.shape == (90, 2)
     steps = usual[::10] - LEVEL
@@ -153,7 +153,7 @@ def test_mistakes_in_profiles_are_named(session: Session) -> None:
     assert recorded_profile(session).shape == (len(session.samples), 1)
 
 
-def test_a_law_in_python(tmp_path: Path) -> None:
+def test_a_law_may_be_a_python_file(tmp_path: Path) -> None:
     path = tmp_path / "law.py"
     path.write_text(
         "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5, period=0.5)\n"
@@ -225,7 +225,7 @@ def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(tmp_path
     assert law_of(Peltier, 0.5) == replace(law_of(Peltier, 1.0), period=0.5)
 
 
-def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(
+def test_the_cost_on_a_real_kit_is_predicted_from_its_open_loop_alone(
     members_of: Callable[..., tuple[TriedTwin, ...]], tmp_path: Path
 ) -> None:
     """The law that ran on it: safe and guaranteed, and its cost of 5.16 K² is in the band, within 20 % of the

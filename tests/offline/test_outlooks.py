@@ -53,7 +53,7 @@ def session(samples: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="module")
-def known(session: Session) -> dict[int, Prospect]:
+def prospect_of_sample(session: Session) -> dict[int, Prospect]:
     return prospects(session, TERMS, [LAST, FIRST, MIDDLE])
 
 
@@ -69,26 +69,28 @@ def numbers(forecast: Forecast) -> list[np.ndarray]:
     return [forecast.time, *(v for band in bands for v in (band.mean, band.low, band.high))]
 
 
-def assert_same(one: Forecast, other: Forecast) -> None:
+def assert_same(forecast: Forecast, expected: Forecast) -> None:
     """To the last bit."""
     for name in ("sample", "candidate", "structure", "notes"):
-        assert getattr(one, name) == getattr(other, name)
-    np.testing.assert_array_equal(numbers(one), numbers(other))
+        assert getattr(forecast, name) == getattr(expected, name)
+    np.testing.assert_array_equal(numbers(forecast), numbers(expected))
 
 
-@pytest.mark.parametrize("at", [FIRST, MIDDLE, LAST])
+@pytest.mark.parametrize("sample", [FIRST, MIDDLE, LAST])
 def test_a_session_that_ends_there_gives_the_same_bits(
-    at: int, samples: list[Sample], known: dict[int, Prospect], tmp_path: Path
+    sample: int, samples: list[Sample], prospect_of_sample: dict[int, Prospect], tmp_path: Path
 ) -> None:
     ahead = np.linspace(100.0, 60.0, 100)
-    cut = stored(samples[: at + 1], tmp_path / "cut")
-    alone = prospects(cut, TERMS, [at])[at]
-    assert alone.leader == known[at].leader
-    assert alone.leader_confidence == known[at].leader_confidence
-    assert_same(alone.outlook.forecast(ahead), known[at].outlook.forecast(ahead))
+    cut = stored(samples[: sample + 1], tmp_path / "cut")
+    alone = prospects(cut, TERMS, [sample])[sample]
+    assert alone.leader == prospect_of_sample[sample].leader
+    assert alone.leader_confidence == prospect_of_sample[sample].leader_confidence
+    assert_same(alone.outlook.forecast(ahead), prospect_of_sample[sample].outlook.forecast(ahead))
 
 
-def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, tmp_path: Path) -> None:
+def test_a_cut_session_gives_the_same_bits_for_every_candidate(
+    samples: list[Sample], session: Session, tmp_path: Path
+) -> None:
     cut = stored(samples[: MIDDLE + 1], tmp_path / "cut")
     for name in ("with friction", "90 rad/s"):
         whole = prospects(session, TERMS, [MIDDLE, LAST], candidate=name)[MIDDLE]
@@ -120,17 +122,19 @@ def test_of_a_long_session_the_newest_windows_are_enough(
 
 
 def test_it_begins_earlier_if_nothing_is_known_there(
-    session: Session, known: dict[int, Prospect], monkeypatch: pytest.MonkeyPatch
+    session: Session, prospect_of_sample: dict[int, Prospect], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The window before this sample begins just behind a step, and the next match is in its second half."""
     monkeypatch.setattr(outlooks, "_WINDOWS", 1)
     prospect = prospects(session, TERMS, [LAST])[LAST]
     assert prospect.since is None
-    assert_same(prospect.outlook.forecast([90.0] * 50), known[LAST].outlook.forecast([90.0] * 50))
+    assert_same(
+        prospect.outlook.forecast([90.0] * 50), prospect_of_sample[LAST].outlook.forecast([90.0] * 50)
+    )
 
 
-def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:
-    outlook = known[MIDDLE].outlook
+def test_what_disturbs_the_plant_is_held(session: Session, prospect_of_sample: dict[int, Prospect]) -> None:
+    outlook = prospect_of_sample[MIDDLE].outlook
     ahead = np.full(40, 90.0)
     sample = session.samples[MIDDLE]
     held_forecast = outlook.predicted(ahead, np.tile(sample.disturbances, (41, 1)))
@@ -139,10 +143,10 @@ def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Pros
     assert np.abs(loaded.means[0] - held_forecast.means[0]).max() > 1.0  # the load matters
 
 
-def test_the_band_covers_the_measurements(session: Session, known: dict[int, Prospect]) -> None:
+def test_the_band_covers_the_measurements(session: Session, prospect_of_sample: dict[int, Prospect]) -> None:
     """The load keeps changing, slowly; within two seconds it moves the speed by less than its noise."""
     reference = [s.reference for s in session.samples[LAST + 1 : LAST + 41]]
-    forecast = known[LAST].outlook.forecast(reference)
+    forecast = prospect_of_sample[LAST].outlook.forecast(reference)
     came = np.array([s.output for s in session.samples[LAST + 1 : LAST + 41]])
     is_inside = (forecast.output.low <= came) & (came <= forecast.output.high)
     # Of 40 readings each held with probability 0.9, fewer than 28 come once in 5000 times.
@@ -150,16 +154,18 @@ def test_the_band_covers_the_measurements(session: Session, known: dict[int, Pro
 
 
 @pytest.mark.parametrize(
-    ("at", "words"),
+    ("asked_samples", "words"),
     [
         ([FIRST, 5], ["no candidate at sample 5", "from sample"]),
         ([800], ["has no sample 800", "0 to 799"]),
         ([-1], ["has no sample -1"]),
     ],
 )
-def test_samples_nothing_can_be_said_of(session: Session, at: list[int], words: list[str]) -> None:
+def test_samples_without_an_outlook_are_named(
+    session: Session, asked_samples: list[int], words: list[str]
+) -> None:
     with pytest.raises(ForecastError) as caught:
-        prospects(session, TERMS, at)
+        prospects(session, TERMS, asked_samples)
     assert all(word in str(caught.value) for word in words)
 
 

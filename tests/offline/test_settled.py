@@ -18,14 +18,15 @@ from twinmatch.signals import Window
 from twinmatch.twin import Mirror, Twin, filled_stretches, window_fit
 
 
-def same(some: Sequence[Window], others: Sequence[Window]) -> bool:
+def equal(a: Window, b: Window) -> bool:
+    """Whether these are the same window, bit for bit."""
+    same_samples = (a.first, a.lost) == (b.first, b.lost)
+    return same_samples and np.array_equal(a.output, b.output) and np.array_equal(a.input, b.input)
+
+
+def same_windows(windows: Sequence[Window], expected: Sequence[Window]) -> bool:
     """Whether these are the same windows, bit for bit."""
-    pairs = zip(some, others, strict=True)
-    return all(
-        (a.first, a.lost) == (b.first, b.lost)
-        and all(np.array_equal(x, y) for x, y in zip((a.output, a.input), (b.output, b.input), strict=True))
-        for a, b in pairs
-    )
+    return all(equal(a, b) for a, b in zip(windows, expected, strict=True))
 
 
 def test_one_spike_changes_no_fit_and_no_stretch() -> None:
@@ -46,7 +47,7 @@ def test_every_door_settles_as_the_discriminator_did(lost: Sequence[int]) -> Non
     settings = untaught.settings()
     judgement = judge_samples("spiked", samples, settings) if lost else untaught.judged()
     assert any(SPIKE in window.lost for window in judgement.stretches)
-    assert same(filled_stretches(samples, settings, judgement.verdicts), judgement.stretches)
+    assert same_windows(filled_stretches(samples, settings, judgement.verdicts), judgement.stretches)
     assert set(judgement.stamps) >= {verdict.sample for verdict in judgement.verdicts}
 
 
@@ -68,7 +69,7 @@ def test_forecasts_are_not_scored_at_a_refused_reading() -> None:
     twin = Twin(settings)
     for sample in samples[: TAUGHT + 1]:
         listener(twin, sample, twin.push(sample))
-    assert same(listener.held, untaught.judged().stretches)
+    assert same_windows(listener.held, untaught.judged().stretches)
 
 
 def test_the_twin_beside_the_plant_is_not_compared_with_a_refused_reading() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,7 @@ def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
     verdict = first_verdict(tmp_path, "--memory", str(memory), "--candidates", str(users_file))
     assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
     alone = tmp_path / "alone.sqlite"
-    lesson = taught(1)
-    Memory(alone).add(
-        [
-            lesson.__class__(
-                **{f: getattr(lesson, f) for f in lesson.__dataclass_fields__} | {"name": SHIPPED.name}
-            )
-        ]
-    )
+    Memory(alone).add([replace(taught(1), name=SHIPPED.name)])
     assert first_verdict(tmp_path, "--memory", str(alone))["leader"] is None
     assert "nothing is remembered yet" in capsys.readouterr().err
 

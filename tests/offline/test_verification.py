@@ -315,10 +315,10 @@ def test_a_session_with_a_verdict_that_a_defect_prevented_is_verified(
     """It is recorded as any other. With the same defect a replay finds it again, without another."""
     real = engine.verdict_of
 
-    def broken(known: Knowledge) -> Verdict:
-        if known.sample == 360:
+    def broken(knowledge: Knowledge) -> Verdict:
+        if knowledge.sample == 360:
             raise ZeroDivisionError("a slip")
-        return real(known)
+        return real(knowledge)
 
     values = twin_values("twin", {})
 

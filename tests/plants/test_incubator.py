@@ -34,7 +34,7 @@ def rms(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def left(twin: Parameters, window: Window, starts: dict[str, float]) -> float:
+def rms_left(twin: Parameters, window: Window, starts: dict[str, float]) -> float:
     """What a twin driven by a run's heater leaves of all its readings but two, RMS, °C."""
     runs = Experiment(twin, (), window, free_starts=tuple(starts))
     return rms(window.output[2:] - runs.simulate(np.array(list(starts.values()))).output)
@@ -49,7 +49,7 @@ def judged(twin: Parameters, window: Window, samples: int, free: tuple[str, ...]
         begun.values_of(twin), box[0], box[1], np.array([states[n].scale for n in free]), 100
     )
     assert minimum.converged
-    return left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
+    return rms_left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
 
 
 # --- equations ---
@@ -147,7 +147,9 @@ THEIRS = {(FIRST, 2): 1.124, (FIRST, 4): 0.694, (SECOND, 2): 1.882, (SECOND, 4):
 
 
 @pytest.mark.parametrize(("name", "parameters"), THEIRS)
-def test_what_the_published_twins_leave(incubator_folder: Path, name: str, parameters: int) -> None:
+def test_the_published_twins_leave_what_was_published(
+    incubator_folder: Path, name: str, parameters: int
+) -> None:
     twin, box = published_twin(incubator_folder, name, parameters)
     assert rms(box - twin) == pytest.approx(THEIRS[name, parameters], abs=0.002)
 
@@ -163,7 +165,7 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
     """Least squares on all samples would leave 0.46 and 0.30; here large errors count by their size."""
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("four parameters", *runs)
-    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.50 < THEIRS[FIRST, 4]
     assert figures[1] <= 0.35 < THEIRS[SECOND, 4]
 
@@ -171,7 +173,7 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
 def test_a_box_with_mass_leaves_a_third_of_that(run: Callable[[str], Window]) -> None:
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("box with mass", *runs)
-    figures = [left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
     assert figures[0] <= 0.10
     assert figures[1] <= 0.15
 
@@ -187,7 +189,7 @@ def test_the_data_justify_walls_with_mass_and_the_sensors_lag(run: Callable[[str
     assert names.index("air and bed") < names.index("four parameters")  # the data do not justify the fourth
 
 
-def test_what_one_run_says_of_the_other(run: Callable[[str], Window]) -> None:
+def test_a_twin_of_one_run_forecasts_the_other_run(run: Callable[[str], Window]) -> None:
     """Fitted to the second and judged on the first; and the other way round."""
     first = run(FIRST)
     second = run(SECOND)

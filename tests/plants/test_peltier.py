@@ -167,7 +167,7 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
 
 
 @given(rig=richest, plate=temperatures, sink=temperatures, pwm=pwms)
-def test_energy_balances(rig: Parameters, plate: float, sink: float, pwm: float) -> None:
+def test_all_heat_flows_sum_to_zero(rig: Parameters, plate: float, sink: float, pwm: float) -> None:
     flows = quantities(rig, np.array([plate, sink, plate]), pwm)
     power = flows["voltage"] * flows["current"] + flows["ripple"]
     largest = max(abs(flows["from_plate"]), abs(flows["from_sink"]), abs(power))
@@ -176,7 +176,7 @@ def test_energy_balances(rig: Parameters, plate: float, sink: float, pwm: float)
     assert abs(flows["current"]) <= rig["current_limit"]
 
 
-def test_heat_flows_of_a_hand_calculation() -> None:
+def test_heat_flows_are_those_of_a_hand_calculation() -> None:
     rig = PLAIN.parameters(seebeck=0.05, resistance=1.9, conductance=0.5, ambient=300.0)
     flows = quantities(rig, np.array([320.0]), 255.0 / 12.0)  # 1 V across 2 Ω
     assert flows["current"] == pytest.approx((-1.0 + 0.05 * 20.0) / 2.0)

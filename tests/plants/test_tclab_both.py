@@ -88,10 +88,12 @@ def test_stretches_withstand_a_drifting_room() -> None:
     in_parts = fit_session(WHOLE, drifting, informed=False).parameters
     whole = fit_session(WHOLE, [drifting], informed=False, stretch=np.inf).parameters
 
-    def off(found: Parameters) -> float:
-        return max(abs(found[name] / KIT[name] - 1.0) for name in ("heating", "second_heating", "losses"))
+    def largest_error(parameters: Parameters) -> float:
+        return max(
+            abs(parameters[name] / KIT[name] - 1.0) for name in ("heating", "second_heating", "losses")
+        )
 
-    assert off(in_parts) < 0.6 * off(whole)
+    assert largest_error(in_parts) < 0.6 * largest_error(whole)
     with pytest.raises(FittingError, match="there is no window"):
         fit_session(WHOLE, [])
 
@@ -101,7 +103,8 @@ def test_a_real_kit_is_forecast_better_than_by_a_vector_arx() -> None:
     over the rest. Others got 0.14 K after 10 s, and for ARX and a twin 0.41 to 0.47 and 0.36 to 0.43 K after
     60 s, 0.91 to 0.95 and 0.71 to 0.75 K after 300 s."""
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     cut = 3 * len(rows) // 5
     session = Window(np.zeros_like(y), y, u)
     fitted = fit_session(TCLabBoth.model(), session.part(0, cut - 1))

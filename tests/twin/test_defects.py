@@ -96,11 +96,11 @@ def twin(before: Twin) -> Twin:
     return copy
 
 
-def run(samples: Sequence[Sample], broken: Broken, twin: Twin, at: int = BREAKS) -> list[Verdict]:
+def run(samples: Sequence[Sample], broken: Broken, twin: Twin, breaks_at: int = BREAKS) -> list[Verdict]:
     """The verdicts on these samples; the part breaks at one of them."""
     verdicts: list[Verdict] = []
     for sample in samples:
-        broken.armed = sample.index >= at
+        broken.armed = sample.index >= breaks_at
         verdicts += twin.push(sample).verdicts
     return verdicts
 
@@ -204,7 +204,7 @@ def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) ->
     twin = Twin()
     broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
-        verdicts = run(steps, broken, twin, at=690)
+        verdicts = run(steps, broken, twin, breaks_at=690)
     (defective_verdict,) = defective(verdicts)
     assert (defective_verdict.fault, defective_verdict.fault_signal) == ("drive-lost", "pwm")
     assert {verdict.fault for verdict in verdicts if verdict.sample >= 690} == {"drive-lost"}

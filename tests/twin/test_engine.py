@@ -16,7 +16,7 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import Discriminator, MatchRequest, Outcome, Twin, TwinSettings, carry_out
 
 
-def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -> list[Sample]:
+def drive_lost_for_a_while(lost_at: int = 550, back_at: int = 570, ticks: int = 1410) -> list[Sample]:
     """Steps between 40 and 70 °C; the drive is lost for twenty samples and comes back."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
@@ -28,7 +28,7 @@ def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -
         y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
-        states = advance(rig, states, 0.0 if at <= k < again else u, 1.0)
+        states = advance(rig, states, 0.0 if lost_at <= k < back_at else u, 1.0)
     return samples
 
 

@@ -36,7 +36,7 @@ def hour(seed: int, samples: int = 2400) -> list[Sample]:
     return list(samples_of(window))
 
 
-def given(**parameters: Parameters) -> list[Candidate]:
+def candidates_of(**parameters: Parameters) -> list[Candidate]:
     return [Candidate(name, 50.0, p, None) for name, p in parameters.items()]
 
 
@@ -47,7 +47,7 @@ def samples() -> list[Sample]:
 
 def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(plain=PLAIN, truth=TRUTH))
+    forecaster.enter(candidates_of(plain=PLAIN, truth=TRUTH))
     assert forecaster.leader == "plain", "as long as nothing has come, the one named first"
     for sample in samples[:1500]:
         forecaster.push(sample)
@@ -62,7 +62,7 @@ def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
 def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[Sample]) -> None:
     """Its module is three times too strong, so that ten minutes of other levels ahead are nonsense."""
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(wrong=rig(seebeck=0.15, heat_capacity=8.0), truth=TRUTH))
+    forecaster.enter(candidates_of(wrong=rig(seebeck=0.15, heat_capacity=8.0), truth=TRUTH))
     for sample in samples[:1500]:
         forecaster.push(sample)
     wrong, truth = forecaster.scores
@@ -79,7 +79,7 @@ def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[S
 def test_a_leader_that_is_beaten_boasts_of_no_savings() -> None:
     """At rest nobody is better than the newest reading; a twin of another plant is far off."""
     truth = Forecaster(GAINS)
-    truth.enter(given(wrong=rig(seebeck=0.15, heat_capacity=8.0)))
+    truth.enter(candidates_of(wrong=rig(seebeck=0.15, heat_capacity=8.0)))
     for sample in samples_of(run(TRUTH, np.repeat([45.0, 46.0], 400), seed=5)):
         truth.push(sample)
     assert truth.scores[0].gain < 0.0
@@ -90,7 +90,7 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
     """Forecast from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
     share within has a standard error of 0.05."""
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     inside = []
     for k, sample in enumerate(samples[:2000]):
         forecaster.push(sample)
@@ -148,7 +148,7 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
     """A plant without noise, and its own parameters: the observer has nothing to correct."""
     quiet = list(samples_of(run(TRUTH, [40.0] * 200 + [70.0] * 400)))
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     for sample in quiet[:250]:
         forecaster.push(sample)
     forecast = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
@@ -158,7 +158,7 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
 
 def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS, spoilt=lambda _first, _last: True)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     for sample in samples[:700]:
         forecaster.push(sample)
     assert np.isnan(forecaster.scores[0].gain)
@@ -167,7 +167,7 @@ def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None
 
 def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     for sample in samples[:800]:
         forecaster.push(sample)
     learned = forecaster.scores[0].forecasts
@@ -180,7 +180,7 @@ def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sa
 
 def test_a_plant_that_changes_leaves_its_bands(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     misses = []
     for sample in samples[:1200]:
         # From sample 1000 on the camera reads 3 °C too much: thirty times its noise.
@@ -198,7 +198,7 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
     forecaster = Forecaster(GAINS)
     with pytest.raises(ForecastError, match="there is no candidate yet"):
         forecaster.outlook()
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     forecaster.push(Sample(0, 0, 40.0, 23.0, 0.0))
     with pytest.raises(ForecastError, match="no candidate 'other'; at this sample there are: truth"):
         forecaster.outlook("other")
@@ -210,7 +210,7 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
 
 def test_a_forecast_says_that_it_leaves_what_was_visited(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     for sample in samples[:150]:
         forecaster.push(sample)
     reference_now = samples[149].reference
@@ -233,7 +233,7 @@ def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> No
 def test_no_bands_are_compared_once_nobody_leads(samples: list[Sample]) -> None:
     """What the last of the candidates has forecast is still kept; it belongs to a leader no longer."""
     forecaster = Forecaster(GAINS)
-    forecaster.enter(given(truth=TRUTH))
+    forecaster.enter(candidates_of(truth=TRUTH))
     for sample in samples[:300]:
         forecaster.push(sample)
     assert forecaster.check_bands(60) is not None

@@ -49,16 +49,16 @@ def score(
     return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill, ends, ends)
 
 
-def compared(errors: tuple[float, float], errs: float, held: tuple[float, float]) -> ForecastScore:
+def compared(errors: tuple[float, float], errs: float, coverage: tuple[float, float]) -> ForecastScore:
     """At the first horizon, with so many times the errors of both baselines, the standard error of the
     logarithms, a share in the bands, and of how many forecasts; at the second too little is known."""
     skills = [(1.0 - error, math.nan) for error in errors]
     highs = [(1.0 - error * math.exp(-1.6448536269514722 * errs), math.nan) for error in errors]
-    share, number = ((figure, math.nan) for figure in held)
+    share, number = ((figure, math.nan) for figure in coverage)
     return ForecastScore("leader", rig(), 0, 299, 5.0, (5.0,), 7.0, *skills, *highs, share, number)
 
 
-def known(**more: Any) -> Knowledge:
+def knowledge(**changes: Any) -> Knowledge:
     fields: dict[str, Any] = {
         **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
@@ -67,7 +67,7 @@ def known(**more: Any) -> Knowledge:
         **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
         **{"trusted": (), "alone": {}},
     }
-    return Knowledge(**fields | more)
+    return Knowledge(**fields | changes)
 
 
 def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
@@ -75,7 +75,7 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
 
 
 @pytest.mark.parametrize(
-    ("more", "level", "reason"),
+    ("changes", "level", "reason"),
     [
         ({}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
         ({"bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared with measurements yet"),
@@ -136,16 +136,16 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ),
     ],
 )
-def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reason: str) -> None:
-    trust = trust_of(known(**more))
+def test_the_level_has_one_reason(changes: dict[str, Any], level: TrustLevel, reason: str) -> None:
+    trust = trust_of(knowledge(**changes))
     assert trust.level is level
     assert trust.reason.startswith(reason)
-    verdict = verdict_of(known(**more))
+    verdict = verdict_of(knowledge(**changes))
     assert (verdict.level, verdict.level_reason) == trust
 
 
 @pytest.mark.parametrize(
-    ("errors", "errs", "held", "new", "standing"),
+    ("errors", "errs", "coverage", "new", "standing"),
     [
         # Half the error is 6.9 standard errors, 0.85 of it 1.6: that may stand, but not begin.
         ((0.5, 0.5), 0.1, GOOD, "", ""),
@@ -165,11 +165,11 @@ def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reaso
     ],
 )
 def test_trusted_is_more_than_chance(
-    errors: tuple[float, float], errs: float, held: tuple[float, float], new: str, standing: str
+    errors: tuple[float, float], errs: float, coverage: tuple[float, float], new: str, standing: str
 ) -> None:
     """At a horizon not trusted before, and at one that was."""
     for before, doubt in (((), new), ((10.0,), standing)):
-        verdict = verdict_of(known(forecasts=(compared(errors, errs, held),), trusted=before))
+        verdict = verdict_of(knowledge(forecasts=(compared(errors, errs, coverage),), trusted=before))
         assert verdict.trusted == (() if doubt else (10.0,))
         assert doubt in verdict.doubts
         assert bool(doubt) == bool(verdict.doubts)
@@ -180,7 +180,7 @@ def test_a_verdict_names_the_fault_that_there_is_and_not_a_suspicion() -> None:
     named_faults = [
         (v.fault, v.fault_since)
         for state in (HealthState.FAULT, HealthState.SUSPECT)
-        for v in [verdict_of(known(health=faulty(Fault.DRIVE_LOST, state)))]
+        for v in [verdict_of(knowledge(health=faulty(Fault.DRIVE_LOST, state)))]
     ]
     assert named_faults == [("drive-lost", 281), ("", None)]
 
@@ -191,10 +191,10 @@ def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
     best = score("best", structure=sink, gain=6.0)
     new = dataclasses.replace(score("new", structure=sink, gain=9.0), gain=math.nan)
     scores = (score(gain=99.0), new, worse, best)
-    assert verdict_of(known(structure=sink, forecasts=scores)).structure_parameters == best.parameters
-    assert verdict_of(known(structure=sink, forecasts=scores[:2])).structure_parameters == new.parameters
-    assert verdict_of(known(structure=sink)).structure_parameters is None
-    assert verdict_of(known(forecasts=scores)).structure_parameters is None
+    assert verdict_of(knowledge(structure=sink, forecasts=scores)).structure_parameters == best.parameters
+    assert verdict_of(knowledge(structure=sink, forecasts=scores[:2])).structure_parameters == new.parameters
+    assert verdict_of(knowledge(structure=sink)).structure_parameters is None
+    assert verdict_of(knowledge(forecasts=scores)).structure_parameters is None
 
 
 def test_the_structure_has_parameters_of_its_own_and_a_leaders_if_it_has_that_structure(

@@ -33,7 +33,9 @@ class Rig:
         self.truth = Peltier.model("sink with mass, free ambient").parameters()
         self.twin = Twin(SETTINGS)
         self.loop = Loop(Peltier)
-        self.random, self.states, self.k = np.random.default_rng(1), begin(self.truth, [23.0]), 0
+        self.random = np.random.default_rng(1)
+        self.states = begin(self.truth, [23.0])
+        self.k = 0
         self.verdict: Verdict | None = None
 
     def sample(self, level: Callable[[float], float], begun: float = 0.0) -> Sample:

@@ -73,7 +73,7 @@ def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
     assert state.closed_rms_y[0] == 0.0
 
 
-def test_residuals_of_a_window() -> None:
+def test_its_own_plant_leaves_no_residuals_in_a_window() -> None:
     window = plant_run()
     law = TwinSettings().law
     exact = residuals(RIG, window, law)
@@ -84,7 +84,7 @@ def test_residuals_of_a_window() -> None:
     assert window_fit(RIG, window, law) == pytest.approx((1.0, 1.0), abs=1e-6)
 
 
-def test_nrmse() -> None:
+def test_nrmse_is_one_for_equal_and_zero_for_the_mean() -> None:
     measured = np.array([1.0, 2.0, 3.0])
     assert nrmse(measured, measured) == 1.0
     assert nrmse(measured, np.full(3, 2.0)) == 0.0

@@ -57,14 +57,14 @@ def test_shipped_plants_keep_their_windows_and_horizons(plant: type[Plant], peri
 
 
 @pytest.mark.parametrize(
-    ("plant", "found"),
+    ("plant", "seconds"),
     [(Lag, 5.0), (House, 3600.0), (Servo, 0.3), (Motor, 0.183), (Tank, 47.3), (Shaft, 0.0), (Stated, 20.0)],
 )
 def test_the_slow_time_constant_is_that_of_the_equations_or_the_files(
-    plant: type[Plant], found: float
+    plant: type[Plant], seconds: float
 ) -> None:
     """Of a servo it is that of its speed: the angle integrates, and friction makes it faster."""
-    assert time_constant(plant) == pytest.approx(found, rel=0.01)
+    assert time_constant(plant) == pytest.approx(seconds, rel=0.01)
 
 
 def test_what_only_integrates_goes_by_its_samples() -> None:
@@ -148,12 +148,12 @@ def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> l
 @pytest.mark.parametrize("samples", [5, 60])
 def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
     """Sample by sample. No fault is named on the healthy plants."""
-    figures_by_plant = [
-        [(v.sample, v.level, v.nominal, v.leader) for v in watched(plant, lag, samples)]
-        for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK))
-    ]
-    assert figures_by_plant[0] == figures_by_plant[1]
-    levels = {level for _, level, *_ in figures_by_plant[0]}
+    verdicts = watched(Lag, 5.0, samples)
+    slow_verdicts = watched(House, 5.0 * CLOCK, samples)
+    for verdict, slow in zip(verdicts, slow_verdicts, strict=True):
+        assert (verdict.sample, verdict.level) == (slow.sample, slow.level)
+        assert (verdict.nominal, verdict.leader) == (slow.nominal, slow.leader)
+    levels = {verdict.level for verdict in verdicts}
     assert TrustLevel.TRUSTED in levels
     assert TrustLevel.FAULT not in levels
 

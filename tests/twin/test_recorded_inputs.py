@@ -13,10 +13,10 @@ from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Twin, TwinSettings
 
 
-def foretold(window: Window, settings: TwinSettings, at: int, count: int) -> tuple[Twin, FloatArray]:
+def foretold(window: Window, settings: TwinSettings, newest: int, count: int) -> tuple[Twin, FloatArray]:
     """A twin that has seen the samples up to one, and the measurements minus its forecast after it."""
     twin = Twin(settings)
-    for k in range(at + 1):
+    for k in range(newest + 1):
         twin.push(
             Sample(
                 k,
@@ -27,8 +27,8 @@ def foretold(window: Window, settings: TwinSettings, at: int, count: int) -> tup
                 tuple(window.disturbances[k].tolist()),
             )
         )
-    ahead = slice(at + 1, at + 1 + count)
-    rows = window.disturbances[at : at + 1 + count]
+    ahead = slice(newest + 1, newest + 1 + count)
+    rows = window.disturbances[newest : newest + 1 + count]
     forecast = twin.discriminator.forecaster.outlook().forecast(window.input[ahead], rows)
     return twin, np.asarray(window.output[ahead] - forecast.output.mean)
 

@@ -33,9 +33,9 @@ def remembered(**factors: float) -> list[Candidate]:
 
 
 @cache
-def judged(*wrong: tuple[str, float], known: bool = True) -> tuple[Twin, list]:
+def judged(*wrong: tuple[str, float], with_memory: bool = True) -> tuple[Twin, list]:
     """The thousand samples of a rig, judged with a memory that is so wrong."""
-    twin = Twin(TwinSettings(), remembered(**dict(wrong)) if known else ())
+    twin = Twin(TwinSettings(), remembered(**dict(wrong)) if with_memory else ())
     verdicts = [v for sample in samples_of(recorded(RIG, seed=5)) for v in twin.push(sample).verdicts]
     return twin, verdicts
 
@@ -44,7 +44,7 @@ def test_the_first_verdict_trusts_a_remembered_twin() -> None:
     _, (first, *_) = judged()
     assert (first.sample, first.level) == (FIRST, TrustLevel.TRUSTED)
     assert first.leader in {"remembered", "monday", "tuesday"}
-    _, (unknown, *_) = judged(known=False)
+    _, (unknown, *_) = judged(with_memory=False)
     assert (unknown.sample, unknown.level) == (FIRST, TrustLevel.UNKNOWN)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from twinmatch.dynamics import (
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Twin, TwinSettings
+from twinmatch.twin import Outcome, Twin, TwinSettings
 
 TRUTH = Heaters.model().parameters()
 LAW = PidLoops.of(*(PidGains(8.0, 0.06, 0.0, 0.05, low=0.0, high=100.0) for _ in range(2)))
@@ -131,38 +132,65 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest
     assert inside.shape == (2,)
 
 
-def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -> None:
-    """A controller whose first loop takes what the twin says T1 should read, as the kit's does: from the
-    beginning of the lie on it holds T1, and with `read_through` the twin knows what its law was given."""
-    loop = Loop(TCLabBoth)
+def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]:
+    """A kit whose first loop takes what the twin says T1 should read, as the kit's controller does: from the
+    beginning of the lie, at sample 900, to its end at 1100. T1's set-point steps at 300 and 1200."""
     truth = typical()
-    settings = TwinSettings.of(TCLabBoth)
-    informed = Twin(replace(settings, read_through=("temperature",)))
-    plain = Twin(settings)
     random = np.random.default_rng(5)
     states = begin(truth, [23.0, 23.0])
-    newest_estimates = dict[str, float]()
-    errors: list[list[float]] = []
-    for k in range(1100):
-        level = 35.0 if k < 300 else 45.0
-        y = readings(truth, states) + 0.04 * random.standard_normal(2) + (5.0 if k >= 900 else 0.0, 0.0)
-        given_to_law = (newest_estimates.get("temperature", math.nan), math.nan)
+    estimates = dict[str, float]()
+    levels = np.repeat([35.0, 45.0, 38.0], [300, 900, 241]).tolist()
+    for k, level in enumerate(levels):
+        lie = 5.0 if 900 <= k < 1100 else 0.0
+        y = readings(truth, states) + 0.04 * random.standard_normal(2) + (lie, 0.0)
+        given_to_law = (estimates.get("temperature", math.nan), math.nan)
         loop.measure(tuple(y.tolist()), k * 10**9, taken=given_to_law)
         sample = loop.tick(k * 10**9, lambda _, level=level: (level, 40.0))  # type: ignore[misc]
         assert sample is not None
-        outcome = informed.push(sample)
-        plain.push(sample)
-        newest_estimates = {estimate.signal: estimate.value for estimate in outcome.estimates}
+        outcome = twin.push(sample)
+        yield sample, outcome
+        estimates = {estimate.signal: estimate.value for estimate in outcome.estimates}
         states = advance(truth, states, np.array(sample.inputs), 1.0)
-        if newest_estimates:
-            followed = [twin.discriminator.forecaster for twin in (informed, plain)]
-            for forecaster in followed:
-                forecaster._catch_up()
-            errors.append([abs(follower._controller[0] - loop._pids[0].state[0]) for follower in followed])
+
+
+def test_a_law_that_ran_on_an_estimate_is_followed_with_that() -> None:
+    """With `read_through` the twin knows what its law was given."""
+    loop = Loop(TCLabBoth)
+    settings = TwinSettings.of(TCLabBoth)
+    informed = Twin(replace(settings, read_through=("temperature",)))
+    plain = Twin(settings)
+    errors: list[list[float]] = []
+    for sample, outcome in islice(kit_on_estimates(loop, informed), 1100):
+        plain.push(sample)
+        if outcome.estimates:
+            integral = loop._pids[0].state[0]
+            followed = [twin.discriminator.forecaster.arx.controller[0] for twin in (informed, plain)]
+            errors.append([abs(followed_integral - integral) for followed_integral in followed])
     assert len(errors) > 150
-    assert informed.discriminator._stood_in == 1099
-    informed.push(Sample(0, 0, sample.references, sample.outputs, sample.inputs))  # of another session
-    assert informed.discriminator._stood_in is None
     # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
     right, wrong = np.array(errors)[80:].max(axis=0)
     assert right < 0.1 * wrong
+
+
+def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched() -> None:
+    """The samples after them are, as another session that begins with sample 0."""
+    twin = Twin(replace(TwinSettings.of(TCLabBoth), read_through=("temperature",)))
+    samples = []
+    verdicts = []
+    newest_estimate = 0
+    for sample, outcome in kit_on_estimates(Loop(TCLabBoth), twin):
+        samples.append(sample)
+        verdicts += outcome.verdicts
+        if outcome.estimates:
+            newest_estimate = sample.index
+    assert verdicts[-1].match == "refused"
+    assert verdicts[-1].first <= newest_estimate
+    # The law was given the newest estimate at the sample after it.
+    until = newest_estimate + 1
+    assert verdicts[-1].reason.startswith(f"not matched: the law ran on an estimate until sample {until}")
+    session = [
+        replace(sample, index=k, stamp=sample.stamp - samples[until + 1].stamp)
+        for k, sample in enumerate(samples[until + 1 :])
+    ]
+    later = [verdict for sample in session for verdict in twin.push(sample).verdicts]
+    assert later[-1].match == "admitted"

@@ -15,6 +15,7 @@ from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule, StructureFits, watched
+from twinmatch.twin.structure_fits import NewestSamples
 from twinmatch.twin.structures import StructureChoice
 
 PLAIN = Peltier.model().parameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
@@ -39,7 +40,7 @@ def chosen(fits: StructureFits, window: Window) -> StructureChoice | None:
     return fits.choice if fits.choice is not before else None
 
 
-def now(fits: StructureFits, window: Window) -> Parameters:
+def plant_after(fits: StructureFits, window: Window) -> Parameters:
     fits.push(window, excited=False)
     parameters = fits.plant_now()
     assert parameters is not None
@@ -102,7 +103,8 @@ def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
     fits = choices_only()
     triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
     assert any(t.excited for t in triggers)
-    choices = [c for c in (chosen(fits, t.window) for t in triggers) if c]
+    choices_or_none = [chosen(fits, trigger.window) for trigger in triggers]
+    choices = [choice for choice in choices_or_none if choice]
     assert len(choices) == 3
     for choice in choices:
         first, last = choice.samples
@@ -121,11 +123,13 @@ def test_stand_ins_are_not_fitted_wherever_windows_were_joined(hour: Window) -> 
             replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s
             for s in samples_of(hour.part(0, 599))
         ]
+        joined = NewestSamples(len(samples))
         for first in (0, 200, 400):
-            fits.push(Window.from_samples(samples[max(first - 50, 0) : first + 200]), excited=True)
-        fitted_window = fits._fitted.window
-        assert fitted_window is not None
-        assert fitted_window.lost == sorted(lost)
+            window = Window.from_samples(samples[max(first - 50, 0) : first + 200])
+            fits.push(window, excited=True)
+            joined.push(window)
+        assert joined.window is not None
+        assert joined.window.lost == sorted(lost)
         candidates.append([(c.name, c.parameters) for c in fits.candidates])
     assert candidates[0]
     assert candidates[0] == candidates[1]
@@ -146,7 +150,7 @@ def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(seed: int) -> None:
     """Nearer by far than a rig whose plate holds a third more heat."""
-    plant_now = now(candidates_only(), recorded(RIG, seed))
+    plant_now = plant_after(candidates_only(), recorded(RIG, seed))
     assert plant_now.model.structure_name == RICHEST
     assert apart(plant_now, RIG) < 0.5 * apart(RIG.replace(heat_capacity=40.0), RIG)
 
@@ -155,8 +159,8 @@ def test_the_plant_now_follows_a_plant_that_changes() -> None:
     """From one window to the next the plate has got heavier; each time the newest samples count."""
     fits = candidates_only()
     heavy = RIG.replace(heat_capacity=40.0)
-    first = now(fits, recorded(RIG, 4))
-    second = now(fits, recorded(heavy, 5, first=5000))
+    first = plant_after(fits, recorded(RIG, 4))
+    second = plant_after(fits, recorded(heavy, 5, first=5000))
     assert apart(first, RIG) < apart(first, heavy)
     assert apart(second, heavy) < apart(second, RIG)
 
@@ -164,7 +168,7 @@ def test_the_plant_now_follows_a_plant_that_changes() -> None:
 def test_after_a_fault_the_plant_now_starts_over() -> None:
     fits = candidates_only()
     window = recorded(RIG, 6)
-    first = now(fits, window)
+    first = plant_after(fits, window)
     assert fits.plant_now() is not None
     fits.expel(window.last + 1, window.last + 2)
     assert fits.plant_now() == first

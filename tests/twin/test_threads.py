@@ -18,7 +18,7 @@ pytestmark = pytest.mark.long("judges the same hours in one, two and four thread
 SAMPLES = 1000
 
 
-def told(outcome: Outcome) -> str:
+def text_of(outcome: Outcome) -> str:
     """Everything that came of a sample, to the last bit."""
     report = outcome.match
     parts = [] if report is None else [report.match.covariance.tobytes().hex(), report.match.parameters]
@@ -31,10 +31,10 @@ import sys
 from pathlib import Path
 from twinmatch.sessions import read_session
 from twinmatch.twin import Outcome, Twin
-{inspect.getsource(told)}
+{inspect.getsource(text_of)}
 twin = Twin()
 for sample in read_session(Path(sys.argv[1])).samples[:{SAMPLES}]:
-    print(told(twin.push(sample)))
+    print(text_of(twin.push(sample)))
 """
 
 
@@ -43,6 +43,6 @@ def test_any_number_of_threads_gives_the_same_bits(simulated_outcomes: list[Outc
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
     command = [sys.executable, "-c", SCRIPT, str(SHIPPED)]
     process = subprocess.run(command, capture_output=True, check=True, env=environment, timeout=300)
-    expected = "".join(f"{told(outcome)}\n" for outcome in simulated_outcomes[:SAMPLES]).encode()
+    expected = "".join(f"{text_of(outcome)}\n" for outcome in simulated_outcomes[:SAMPLES]).encode()
     assert len(expected) > 10_000
     assert hashlib.sha256(process.stdout).digest() == hashlib.sha256(expected).digest()

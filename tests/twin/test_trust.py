@@ -40,10 +40,10 @@ def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> Non
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 5.0))
-def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
-    values = np.full((1, 60), 20.0 + off * half)
+def test_a_miss_counts_in_half_widths(half: float, miss: float) -> None:
+    values = np.full((1, 60), 20.0 + miss * half)
     check = check_band(forecast(20.0, half), values, values)
-    assert check.miss_y == pytest.approx(off, abs=1e-9)
+    assert check.miss_y == pytest.approx(miss, abs=1e-9)
     assert check.miss == max(check.miss_y, check.miss_u)
 
 
@@ -59,7 +59,8 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
 
 def test_readings_outside_their_band_are_not_level() -> None:
     values = np.full((1, 60), 20.0)
-    values[0, 30], values[0, 59] = 22.0, 19.5
+    values[0, 30] = 22.0
+    values[0, 59] = 19.5
     check = check_band(forecast(20.0, 1.0), values, None)
     assert check.inside_y == pytest.approx(59 / 60)
     assert (check.low, check.high, check.last) == (19.5, 20.0, 19.5)
@@ -67,7 +68,8 @@ def test_readings_outside_their_band_are_not_level() -> None:
 
 def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
     values = np.full((1, 60), 20.0)
-    values[0, 30], values[0, 59] = 120.0, -40.0
+    values[0, 30] = 120.0
+    values[0, 59] = -40.0
     counted = np.abs(values[0] - 20.0) < 1.0
     check = check_band(forecast(20.0, 1.0), values, None, counted)
     assert (check.miss, check.inside_y, check.low, check.high, check.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
@@ -93,7 +95,7 @@ def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
     assert check.miss_u == pytest.approx(2.0)
 
 
-def test_since_when_and_between_which_levels() -> None:
+def test_a_miss_lasts_once_separate_windows_fail_and_levels_are_those_that_held() -> None:
     bands = BandHistory(2.0, NOISE)
     assert bands.levels is None
     bands.push(inside(30.0, 40.0), 0, 60)

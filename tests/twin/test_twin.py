@@ -9,8 +9,10 @@ from itertools import cycle
 import numpy as np
 import pytest
 
+from tests.support.watched import copied
 from twinmatch.comparing import Candidate, TrustLevel, Verdict
-from twinmatch.dynamics import Controller, advance, begin, read
+from twinmatch.dynamics import Controller, Parameters, advance, begin, read
+from twinmatch.health import Health
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
@@ -92,14 +94,14 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
     due: list[tuple[int, MatchReport]] = []
     verdicts: list[Verdict] = []
 
-    def take(step: Step, now: int) -> None:
+    def take(step: Step, sample: int) -> None:
         verdicts.extend(step.verdicts)
         if step.request is not None:
             report = next(m for m in reports if m.answers(step.request))
             assert repr(carry_out(step.request, settings)) == repr(report)
-            due.append((now + (next(lateness) if now < 1500 else 10_000), report))
+            due.append((sample + (next(lateness) if sample < 1500 else 10_000), report))
 
-    def answer(now: int) -> None:
+    def answer(sample: int) -> None:
         report = due.pop(0)[1]
         request = judge.request
         assert judge.push_match(next(m for m in reports if m is not report)) == Step((), None)
@@ -107,7 +109,7 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
         step = judge.push_match(report)
         if step.request is None:
             assert judge.push_match(report) == Step((), None)
-        take(step, now)
+        take(step, sample)
 
     for sample in simulated_session:
         take(judge.push_sample(sample), sample.index)
@@ -152,7 +154,7 @@ def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_s
     assert {c.name for c in verdicts[-1].modelled} == {"50 °C"}
 
 
-def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
+def drive_lost(lost_at: int, ticks: int, back_at: int | None = None) -> list[Sample]:
     """A run whose drive is lost, and may come back: the controller continues, the plate gets nothing."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
@@ -165,7 +167,7 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
         y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
-        states = advance(rig, states, 0.0 if at <= k < (again or ticks) else u, 1.0)
+        states = advance(rig, states, 0.0 if lost_at <= k < (back_at or ticks) else u, 1.0)
     return samples
 
 
@@ -204,7 +206,7 @@ def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
 
 
 def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
-    simulated_session: list[Sample], simulated_outcomes: list[Outcome]
+    simulated_session: list[Sample], simulated_outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An alarm that begins in the past takes back what was admitted since; until then, a second run gives the
     same verdicts to the last bit."""
@@ -212,20 +214,29 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     verdicts = verdicts_of([twin.push(s) for s in simulated_session])
     assert repr(verdicts) == repr(verdicts_of(simulated_outcomes))
     judge = twin.discriminator
+    monitor = judge.monitor
     newest = max(verdicts[-1].candidates, key=lambda c: c.last)
     last = simulated_session[-1]
     # A reading no plate can have, in a session whose index continues: the alarm starts at that very sample.
     broken = dataclasses.replace(last, index=last.index + 1, outputs=400.0)
-    verdict = judge.push_sample(broken).verdicts[-1]
+    verdict = copied(judge).push_sample(broken).verdicts[-1]
     assert verdict.fault == "sensor-implausible"
     assert newest.name in {c.name for c in verdict.candidates}
+
     # The same alarm, reaching back into the newest candidate's window.
-    alarm = dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3, spoils=True)
-    gone = judge._remove_spoilt(alarm)
-    assert newest.name in gone
+    def alarmed(sample: Sample, twin: Parameters | None) -> Health:
+        health = type(monitor).push(monitor, sample, twin)
+        if health.news is None:
+            return health
+        reaching_back = dataclasses.replace(health.news, first=newest.last - 3, spoils=True)
+        return dataclasses.replace(health, news=reaching_back)
+
+    monkeypatch.setattr(monitor, "push", alarmed)
+    verdict = judge.push_sample(broken).verdicts[-1]
+    assert newest.name not in {c.name for c in verdict.candidates}
     assert judge.nominal is not None
-    after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))
     assert judge.nominal.name != newest.name
+    after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))
     assert not after.verdicts
     assert after.request is None
 

@@ -135,7 +135,9 @@ def test_progress_counts_every_session_once(tmp_path: Path) -> None:
         (["a.csv", "b.csv", "--config", "gone.yaml"], 2, "gone.yaml"),
     ],
 )
-def test_mistakes_are_named(arguments: list[str], code: int, words: str) -> None:
+def test_mistakes_of_replay_are_named_without_a_traceback(
+    arguments: list[str], code: int, words: str
+) -> None:
     result = run_twinmatch("replay", *arguments)
     assert result.returncode == code, result.stderr
     assert words in result.stderr
@@ -216,7 +218,8 @@ def test_work_is_done_even_if_the_second_process_dies() -> None:
     with pool(1) as second:
         work = Beside(second)
         second_pid = second.submit(os.getpid).result()
-        assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), second_pid}
+        results = [work.give(os.getpid) for _ in range(20)]
+        assert {result() for result in results} <= {os.getpid(), second_pid}
         with pytest.raises(BrokenProcessPool):
             second.submit(os._exit, 1).result()
         assert work.give(os.getpid)() == os.getpid()
@@ -244,7 +247,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("named", "found"),
+    ("named", "sessions"),
     [
         pytest.param(".", "a/deep b c/x.MAT c/y.csv d[1].csv", id="all in a folder"),
         pytest.param("b a/deep b/run_0.mcap", "b a/deep b/run_0.mcap", id="sessions and a file of one"),
@@ -254,9 +257,9 @@ def tree(tmp_path: Path) -> Path:
         pytest.param("absent.mat", "absent.mat", id="what is not there is named when it is judged"),
     ],
 )
-def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, found: str) -> None:
+def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, sessions: str) -> None:
     paths = find_sessions([tree / name for name in named.split()])
-    assert [str(path.relative_to(tree)) for path in paths] == found.split()
+    assert [str(path.relative_to(tree)) for path in paths] == sessions.split()
 
 
 @pytest.mark.parametrize(
@@ -269,7 +272,8 @@ def test_nothing_found_is_said(tree: Path, name: str, words: str) -> None:
 
 def test_one_session_is_distinguished_from_many(tree: Path) -> None:
     assert all(is_single([tree / name]) for name in ("b", "c/y.csv", "absent", "d[1].csv"))
-    assert not any(is_single([tree / n for n in names.split()]) for names in (".", "b a", "*"))
+    for names in (".", "b a", "*"):
+        assert not is_single([tree / name for name in names.split()]), names
 
 
 RECORD = {"session": "run", "fit": 0.25, "note": "°C"}

@@ -30,14 +30,14 @@ def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
     backtests = []
     session = backtest.backtest_outputs
 
-    def kept(*given: Any, **options: Any) -> tuple[Backtest, ...]:
+    def keeping_all(*given: Any, **options: Any) -> tuple[Backtest, ...]:
         backtests.extend(session(*given, **options))
         return tuple(backtests[-1:])
 
     out = folder / "card.json"
     picture = folder / "card.png"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(backtest, "backtest_outputs", kept)
+        patch.setattr(backtest, "backtest_outputs", keeping_all)
         process = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
     assert process.returncode == 0, process.stderr
     return Command(process, out, picture, backtests[0])

@@ -15,14 +15,14 @@ def forecast_of(
     output: Sequence[float] | FloatArray,
     entry: Sequence[float] | FloatArray,
     half: tuple[float, float] = (1.0, 1.0),
-    who: str = "somebody",
+    forecaster: str = "somebody",
 ) -> Forecast:
     """A forecast with these means and bands of constant half width."""
     y = np.asarray(output, dtype=float)
     u = np.asarray(entry, dtype=float)
     return Forecast(
         sample=sample,
-        candidate=who,
+        candidate=forecaster,
         structure="",
         confidence=CONFIDENCE,
         time=np.arange(1.0, y.size + 1.0),

@@ -20,7 +20,7 @@ from twinmatch.fitting import fit_structure
 from twinmatch.forecasting import Arx, ArxForecast, baselines
 from twinmatch.forecasting.baselines import MAX_ORDER
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import Choices, Listener, graded
+from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import Incubator, Peltier
 from twinmatch.signals import FloatArray, Sample, Window
@@ -35,9 +35,9 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
     return u, np.asarray(y, dtype=np.float64)
 
 
-def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int = 30) -> ArxForecast:
+def fitted(outputs: FloatArray, inputs: FloatArray, forgetting: float = 1.0, pace: int = 30) -> ArxForecast:
     """The model after these samples, shapes (N, o) and (N, m), asked at every `pace` of them."""
-    arx = Arx(None, kept)
+    arx = Arx(None, forgetting)
     departure = None
     for k, (y, u) in enumerate(zip(outputs.tolist(), inputs.tolist(), strict=True)):
         arx.push(Sample(k, 0, (0.0,) * len(y), tuple(y), tuple(u)))
@@ -47,16 +47,16 @@ def fitted(outputs: FloatArray, inputs: FloatArray, kept: float = 1.0, pace: int
     return departure
 
 
-@pytest.mark.parametrize("kept", [1.0, 0.99])
-def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) -> None:
+@pytest.mark.parametrize("forgetting", [1.0, 0.99])
+def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(forgetting: float) -> None:
     """Every order by its weighted least squares: the chosen one has the least AICc, and its coefficients."""
     api = pytest.importorskip("statsmodels.api", reason="statsmodels is in the extra 'test'")
     measures = pytest.importorskip("statsmodels.tools.eval_measures")
     u, y = second_order(400, 0.05, 3)
-    ours = fitted(y[:, None], u[:, None], kept)
+    ours = fitted(y[:, None], u[:, None], forgetting)
     signals = np.column_stack([y, u]) - [y[0], u[0]]
     rows = np.arange(MAX_ORDER, y.size)
-    weights = kept ** np.arange(rows.size)[::-1].astype(float)
+    weights = forgetting ** np.arange(rows.size)[::-1].astype(float)
     coefficients_by_aicc = {}
     for order in range(1, MAX_ORDER + 1):
         columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
@@ -137,6 +137,12 @@ RECORDED = {
 }
 
 
+def errors_at(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
+    """The errors of a forecaster at a horizon, by the sample that it forecasts from."""
+    marked = [m for m in tested.marked if (m.who, m.horizon) == (forecaster, horizon)]
+    return {m.sample: m.marks.error for m in marked}
+
+
 @pytest.mark.parametrize("name", RECORDED)
 def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: Path) -> None:
     """On other people's plants: where both have compared, their ratios of ARX to the leader differ by less
@@ -159,15 +165,11 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     skills = next(score for score in forecaster.scores if score.name == forecaster.leader).arx_skill
     compared = 0
     for horizon, skill in zip(tested.horizons, skills, strict=True):
-        errors = {
-            competitor: {
-                m.sample: m.marks.error for m in tested.marked if (m.who, m.horizon) == (competitor, horizon)
-            }
-            for competitor in ("leader", "ARX")
-        }
-        if len(errors["leader"]) < 8 or np.isnan(skill):
+        leader_errors = errors_at(tested, "leader", horizon)
+        arx_errors = errors_at(tested, "ARX", horizon)
+        if len(leader_errors) < 8 or np.isnan(skill):
             continue
-        ratios = [errors["ARX"][k] / errors["leader"][k] for k in errors["leader"]]
+        ratios = [arx_errors[sample] / error for sample, error in leader_errors.items()]
         assert abs(np.log(np.exp(np.mean(np.log(ratios))) * (1.0 - skill))) < np.log(2.0)
         compared += 1
     assert compared or name == "one heater"

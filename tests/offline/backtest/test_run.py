@@ -64,8 +64,8 @@ from twinmatch.twin import TwinSettings
 TWIN_ONLY = Choices(every=120.0, peers=())
 
 
-def card(tested: Backtest, who: str, horizon: float) -> Card:
-    return next(c for c in tested.cards if (c.who, c.horizon) == (who, horizon))
+def card(tested: Backtest, forecaster: str, horizon: float) -> Card:
+    return next(c for c in tested.cards if (c.who, c.horizon) == (forecaster, horizon))
 
 
 def test_everybody_is_judged_from_the_same_origins(shipped: Backtest) -> None:
@@ -150,19 +150,21 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     assert any("there was no candidate yet" in note for note in tested.notes)
 
 
+def rms_of_leader(tested: Backtest) -> dict[tuple[int, float], float]:
+    """Errors of the output as the leader forecast it, by origin and horizon."""
+    return {(m.sample, m.horizon): m.marks.output.rms for m in tested.marked if m.who == LEADER}
+
+
 def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
     """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
     thinned = backtest_where(lambda sample: sample.index < 1200 and sample.index % 15 != 7)
     ends = {(m.sample + round(h)) % 15 for m in thinned.marked for h in (m.horizon,)}
     assert 7 not in ends
-    before, with_gaps = (
-        {(m.sample, m.horizon): m.marks for m in tested_run.marked if m.who == "leader"}
-        for tested_run in (early, thinned)
-    )
+    before = rms_of_leader(early)
+    with_gaps = rms_of_leader(thinned)
     places = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
     assert len(with_gaps.keys() & set(places)) > 0.9 * len(places)
-    errors = [[m.output.rms for m in marks_at.values()] for marks_at in (before, with_gaps)]
-    assert np.median(errors[1]) == pytest.approx(np.median(errors[0]), rel=0.2)
+    assert np.median([*with_gaps.values()]) == pytest.approx(np.median([*before.values()]), rel=0.2)
 
 
 def test_nothing_is_forecast_over_a_gap() -> None:
@@ -205,8 +207,8 @@ def test_pictured_forecasts_follow_one_another(shipped: Backtest) -> None:
 
 
 def test_the_leader_is_reported(shipped: Backtest) -> None:
-    def named(who: str) -> set[str]:
-        return {m.candidate for m in shipped.marked if m.who == who}
+    def named(forecaster: str) -> set[str]:
+        return {m.candidate for m in shipped.marked if m.who == forecaster}
 
     assert all(named(LEADER))
     assert all(named(NOMINAL))
@@ -272,9 +274,9 @@ def tested() -> Backtest:
     )
 
 
-def one(who: str, error: float, horizon: float = 60.0) -> Marked:
+def marked_by(forecaster: str, error: float, horizon: float = 60.0) -> Marked:
     signal = SignalMarks(rms=error, end=error, coverage=0.93, width=4.0, score=5.0)
-    return Marked("a", 1, horizon, who, Marks(signal, signal))
+    return Marked("a", 1, horizon, forecaster, Marks(signal, signal))
 
 
 def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
@@ -292,12 +294,12 @@ def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
         assert all(name in text and cell(card) in text for name, cell in card_columns(Peltier))
 
 
-def of(*marked: Marked, horizons: tuple[float, ...] = (60.0,)) -> Backtest:
+def backtest_of(*marked: Marked, horizons: tuple[float, ...] = (60.0,)) -> Backtest:
     return Backtest("a", Peltier, 1.0, horizons, 0.9, marked)
 
 
 def test_cells_are_in_the_units_of_the_plant() -> None:
-    (card,) = of(one("ARX", 2.0)).cards
+    (card,) = backtest_of(marked_by("ARX", 2.0)).cards
     cell_of = {name: text(card) for name, text in card_columns(Peltier)}
     assert cell_of["error"] == "2.00"
     assert (cell_of["end / °C"], cell_of["end / PWM"]) == ("0.20", "14.0")
@@ -307,8 +309,8 @@ def test_cells_are_in_the_units_of_the_plant() -> None:
 
 
 def test_the_sentence_says_how_the_leader_did() -> None:
-    marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
-    tested = of(*marked, horizons=HORIZONS)
+    marked = (marked_by(LEADER, 2.0), marked_by("ARX", 5.0), marked_by("persistence", 9.0))
+    tested = backtest_of(*marked, horizons=HORIZONS)
     sentence = (
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
         "held 93 % of the readings (90 % expected)."
@@ -345,7 +347,7 @@ def test_several_sessions_are_one(tested: Backtest) -> None:
 
 def test_sessions_of_one_name_are_not_mixed_up() -> None:
     """The best in hindsight of each stays its own: ratios of 2 and 4, and not of 2 and 2."""
-    first, second = (of(one(LEADER, 4.0), one(HINDSIGHT, best)) for best in (2.0, 1.0))
+    first, second = (backtest_of(marked_by(LEADER, 4.0), marked_by(HINDSIGHT, best)) for best in (2.0, 1.0))
     (card, _) = over_all([first, second]).cards
     assert (card.who, card.ratio) == (LEADER, 3.0)
 
@@ -364,7 +366,7 @@ def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_p
 
 
 def test_without_a_forecast_the_picture_says_so() -> None:
-    figure = draw_backtest(of(horizons=HORIZONS))
+    figure = draw_backtest(backtest_of(horizons=HORIZONS))
     assert "no forecast could be judged" in [t.get_text() for t in figure.axes[0].texts]
 
 

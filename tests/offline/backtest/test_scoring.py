@@ -43,26 +43,28 @@ def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
     return Window(values, values, values, first=first, period=period)
 
 
-def at(held: Sequence[Window], told: Sequence[int], every: float, horizons: Sequence[float]) -> list[Origin]:
-    return origins(held, [*regular(held, every), *told], horizons)
+def origins_of(
+    windows: Sequence[Window], verdict_samples: Sequence[int], interval: float, horizons: Sequence[float]
+) -> list[Origin]:
+    return origins(windows, [*regular(windows, interval), *verdict_samples], horizons)
 
 
-def test_every_minute_and_every_verdict() -> None:
-    chosen = at([window(400)], [75, 119, 380], 60.0, HORIZONS)
+def test_forecasts_begin_at_every_minute_and_every_verdict() -> None:
+    chosen = origins_of([window(400)], [75, 119, 380], 60.0, HORIZONS)
     assert [m.sample for m in chosen] == [59, 75, 119, 179, 239, 299, 359, 380]
     assert [m.count for m in chosen] == [300, 300, 280, 220, 160, 100, 40, 19]
 
 
 def test_nothing_is_forecast_that_cannot_be_judged() -> None:
-    assert [m.sample for m in at([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
-    assert at([window(60)], [], 60.0, HORIZONS) == []
+    assert [m.sample for m in origins_of([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
+    assert origins_of([window(60)], [], 60.0, HORIZONS) == []
 
 
 def test_stretches_are_forecast_by_themselves() -> None:
     """After a gap the past starts over, and no forecast reaches over one."""
     samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
     windows = [Window.from_samples(stretch, 1.0) for stretch in unbroken(samples)]
-    chosen = at(windows, [], 60.0, (10.0, 60.0))
+    chosen = origins_of(windows, [], 60.0, (10.0, 60.0))
     assert [m.sample for m in chosen] == [59, 209, 269, 329, 389]
     assert (chosen[0].count, chosen[1].count) == (40, 60)
     assert (chosen[1].past.first, chosen[1].past.last) == (150, 209)
@@ -70,15 +72,17 @@ def test_stretches_are_forecast_by_themselves() -> None:
 
 
 def test_seconds_count_and_not_samples() -> None:
-    chosen = at([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
+    chosen = origins_of([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
     assert [(m.sample, m.count) for m in chosen] == [(19, 20), (39, 20), (59, 20), (79, 20)]
     with pytest.raises(BacktestError, match="shorter than one sample"):
-        at([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
+        origins_of([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
 
 
 @given(st.integers(20, 500), st.lists(st.integers(0, 600), max_size=20), st.integers(1, 200))
-def test_past_and_future_meet_and_nothing_is_in_both(samples: int, told: list[int], every: int) -> None:
-    for origin in at([window(samples, first=7)], told, float(every), (10.0, 100.0)):
+def test_past_and_future_meet_and_nothing_is_in_both(
+    samples: int, verdict_samples: list[int], interval: int
+) -> None:
+    for origin in origins_of([window(samples, first=7)], verdict_samples, float(interval), (10.0, 100.0)):
         assert origin.past.first == 7
         assert origin.past.last + 1 == origin.came.first
         assert len(origin.came) == len(origin.ahead) == origin.count
@@ -114,7 +118,7 @@ ends = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(sorted)
 confidences = st.floats(0.05, 0.95)
 
 
-def test_interval_score_by_hand() -> None:
+def test_what_lies_outside_an_interval_costs_by_its_distance() -> None:
     """Width 4; 1 below the band and 3 above it cost 2/0.2 = 10 times as much more."""
     score = interval_score(np.zeros(3), np.full(3, 4.0), np.array([2.0, -1.0, 7.0]), 0.8)
     np.testing.assert_allclose(score, [4.0, 14.0, 34.0], rtol=1e-12)
@@ -174,7 +178,7 @@ def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
         marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), [10.0], Peltier)
 
 
-def test_horizons_in_samples() -> None:
+def test_horizons_are_rounded_down_to_whole_samples() -> None:
     assert samples_within(60.0, 1.0) == 60
     assert samples_within(60.0, 0.1) == 600
     assert samples_within(10.0, 3.0) == 3
@@ -182,12 +186,12 @@ def test_horizons_in_samples() -> None:
         samples_within(2.0, 3.0)
 
 
-def marked(who: str, sample: int, error: float, horizon: float = 60.0, session: str = "a") -> Marked:
+def marked(forecaster: str, sample: int, error: float, horizon: float = 60.0, session: str = "a") -> Marked:
     signal = SignalMarks(rms=error, end=-error, coverage=0.5, width=2.0, score=3.0)
-    return Marked(session, sample, horizon, who, Marks(signal, signal))
+    return Marked(session, sample, horizon, forecaster, Marks(signal, signal))
 
 
-def test_a_card_by_hand() -> None:
+def test_a_card_has_the_quantiles_of_its_marks() -> None:
     ours = [marked("leader", k, float(k)) for k in range(1, 11)]
     best = [marked(HINDSIGHT, k, k / 2.0) for k in range(1, 11)]
     card, _ = cards([*ours, *best])

@@ -36,9 +36,11 @@ def session(window: Window) -> Session:
     return session_of(Path("two.csv"), tuple(samples_of(window)), plant=Heaters.name, has_reference=False)
 
 
-def ends(tested: Backtest, who: str, horizon: float) -> dict[int, float]:
+def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
     """Errors at the horizon by origin, in units of the noise."""
-    return {m.sample: m.marks.output.end for m in tested.marked if (m.who, m.horizon) == (who, horizon)}
+    return {
+        m.sample: m.marks.output.end for m in tested.marked if (m.who, m.horizon) == (forecaster, horizon)
+    }
 
 
 def test_a_known_plant_is_forecast_to_its_noise() -> None:
@@ -122,12 +124,13 @@ def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
     """Others got 0.36 to 0.43 K and 0.71 to 0.75 K after 60 and 300 s; for ARX 0.41 to 0.47 and 0.91 to
     0.95 K."""
     rows = kit_rows("tclab_2x2", "prbs_open_loop")
-    y, u = (np.array([[row[a], row[b]] for row in rows]) for a, b in (("T1", "T2"), ("Q1", "Q2")))
+    y = np.array([[row["T1"], row["T2"]] for row in rows])
+    u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     kit_session = session(Window(np.zeros_like(y), y, u))
     tests = backtest_each(kit_session, TCLabBoth, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
 
-    def rms(who: str, horizon: float) -> float:
-        errors = np.array([list(ends(tested, who, horizon).values()) for tested in tests])
+    def rms(forecaster: str, horizon: float) -> float:
+        errors = np.array([list(ends(tested, forecaster, horizon).values()) for tested in tests])
         return float(TCLabBoth.temperature.noise * np.sqrt(np.mean(np.square(errors))))
 
     assert rms(LEADER, 10.0) < 0.16
