@@ -115,9 +115,7 @@ def test_a_plant_without_mistakes_has_no_findings() -> None:
     checked = check_plant(Lag, 1.0, lambda *what: shown.append(what))
     assert checked.findings == ()
     total = len(Lag.structures) + 1
-    assert [(done_count, whole_count) for _, done_count, whole_count in shown] == [
-        (done_count, total) for done_count in range(total)
-    ]
+    assert [progress for _, *progress in shown] == [[count, total] for count in range(total)]
     assert shown[-1][0].startswith("checking structure ")
     assert checked.exit_code == 0
     assert checked.notes == ("time constants at the defaults: 5 s",)

@@ -106,13 +106,11 @@ def test_of_a_long_session_the_newest_windows_are_enough(
     """A session that begins there gives the same bits, and has no note."""
     monkeypatch.setattr(outlooks, "_WINDOWS", 1)
     asked_at = 790
-    since = (
-        asked_at - TERMS.settings.schedule.capacity
-    )  # the match on the step at sample 400 is in the first half
+    # The match on the step at sample 400 is in the first half.
+    since = asked_at - TERMS.settings.schedule.capacity
     newest = prospects(session, TERMS, [asked_at])[asked_at]
-    cut = prospects(stored(samples[since : asked_at + 1], tmp_path / "cut"), TERMS, [asked_at], whole=True)[
-        asked_at
-    ]
+    cut_session = stored(samples[since : asked_at + 1], tmp_path / "cut")
+    cut = prospects(cut_session, TERMS, [asked_at], whole=True)[asked_at]
     assert (newest.since, cut.since) == (since, None)
     [note] = set(newest.outlook.notes) - set(cut.outlook.notes)
     assert f"from {since} on" in note
