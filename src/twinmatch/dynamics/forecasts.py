@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.dynamics import variances as variance_kernels
 from twinmatch.dynamics.declarations import PlantError
@@ -111,17 +111,17 @@ class Foresight:
         self._columns = n_references(model.plant, loop)
         self._kernels = [parameters.model.kernels_by(unsure) for parameters, unsure in twins]
         self.sizes = np.array([_sizes_of(parameters, unsure) for parameters, unsure in twins])
-        most, longest, widest = self.sizes.max(axis=0)
-        self._vectors = np.zeros((len(twins), longest))
-        self._which = np.zeros((len(twins), 2 * widest), dtype=np.int64)
+        most, _, widest = self.sizes.max(axis=0)
         self._process_noise = np.zeros((len(twins), most + widest))
+        unknown_places = []
         for i, ((parameters, unsure), deviations) in enumerate(zip(twins, drift, strict=True)):
-            n, p, k = self.sizes[i].tolist()
+            n = len(parameters.model.states)
             title = parameters.model.title
             _require_names(title, unsure, parameters.model.names)
-            self._vectors[i, :p] = parameters.vector
-            self._which[i, : 2 * k] = 2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure]
+            unknown_places.append(2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure])
             self._process_noise[i, :n] = np.square(_fit(title, "drift", deviations, (n,))) * period
+        self._which = _in_rows(unknown_places, np.int64)
+        self._vectors = _in_rows([parameters.vector for parameters, _ in twins], np.float64)
         self._steps = np.array([parameters.steps(period) for parameters, _ in twins])
         noise_of_readings = model.noise if noise is None else np.atleast_1d(noise)
         noises = _fit(model.title, "noise", noise_of_readings, model.noise.shape)
@@ -226,6 +226,14 @@ class Foresight:
         if disturbances is not None and np.ndim(disturbances) == 1:
             disturbances = np.tile(model.disturbance_row(disturbances), (size, 1))
         return references, model.disturbance_rows(disturbances, size)
+
+
+def _in_rows(values: Sequence[Sequence[float] | FloatArray], dtype: type[np.number[Any]]) -> NDArray[Any]:
+    """Values of several lengths in the rows of one array, zeros behind them."""
+    rows = np.zeros((len(values), max(map(len, values))), dtype=dtype)
+    for row, row_values in zip(rows, values, strict=True):
+        row[: len(row_values)] = row_values
+    return rows
 
 
 def _sizes_of(parameters: Parameters, unsure: Sequence[str]) -> tuple[int, int, int]:

@@ -12,7 +12,8 @@ import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from itertools import chain
+from typing import Any, Final, NamedTuple
 
 from llvmlite import binding, ir
 
@@ -153,61 +154,120 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     """
     function = _Function(module, "tangents", _TANGENTS, f)
     builder = function.builder
-    n = f.n_states
-    m = f.n_inputs
-    q = f.n_unknown
-    columns, du, unknown_numbers, first, size = function.llvm.args[7:]
-    slopes_at_stages: list[list[Any]] = []
+    unknown_numbers, first, size = function.llvm.args[9:]
     begun = _named("b", function.switches({}))
+    slopes: list[_StageSlopes] = []
 
     def rates(values: Values) -> list[Any]:
-        slopes = function.results(f.slopes, values | begun)
-        slopes_at_stages.append(slopes)
-        return slopes[n * q : n * q + n]
+        stage = _StageSlopes(f, function.results(f.slopes, values | begun))
+        slopes.append(stage)
+        return stage.rates
 
     stages, after = function.runge_kutta(rates)
-    place = builder.gep(function.llvm.args[5], [_int(n)])
+    place = builder.gep(function.llvm.args[5], [_int(f.n_states)])
     asked = builder.fcmp_ordered("!=", builder.load(place), _number(0.0))
     with builder.if_then(builder.and_(asked, function.crossed(begun, stages, after)), likely=False):
         builder.ret_void()
     builder.store(_number(0.0), place)
-    by_unknown = builder.alloca(_DOUBLE, max(4 * n * q, 1))
-    for place, value in enumerate(value for stage in slopes_at_stages for value in stage[: n * q]):
-        builder.store(value, builder.gep(by_unknown, [_int(place)]))
-    x_slopes = [stage[n * q + n : n * q + n + n * n] for stage in slopes_at_stages]
-    u_slopes = [stage[n * q + n + n * n :] for stage in slopes_at_stages]
-    h = function.h
-    half = builder.fmul(_number(0.5), function.h)
-    sixth = builder.fdiv(h, _number(6.0))
-
-    def rate(i: int, stage: int, of_x: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
-        terms = [(x_slopes[stage][i * n + k], of_x[k]) for k in range(n)]
-        terms += [(u_slopes[stage][i * m + k], of_u[k]) for k in range(m)]
-        products = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
-        if unknown is not None and not all(_is_zero(v) for v in slopes_at_stages[stage][i * q : i * q + q]):
-            place = builder.add(unknown, _int((stage * n + i) * q))
-            products.append(builder.load(builder.gep(by_unknown, [place])))
-        return functools.reduce(builder.fadd, products) if products else _number(0.0)
-
-    def column(j: Any, unknown: Any) -> None:
-        places = [builder.gep(columns, [builder.add(builder.mul(_int(i), size), j)]) for i in range(n)]
-        of_u = [builder.load(builder.gep(du, [builder.add(builder.mul(_int(k), size), j)])) for k in range(m)]
-        before = [builder.load(place) for place in places]
-        slopes: list[list[Any]] = []
-        stage_values = before
-        for stage in range(4):
-            slopes.append([rate(i, stage, stage_values, of_u, unknown) for i in range(n)])
-            if stage < 3:
-                stage_values = function.shifted(before, slopes[-1], half if stage < 2 else h)
-        for place, value in zip(places, function.combined(before, slopes, sixth), strict=True):
-            builder.store(value, place)
-
+    columns = _TangentColumns(function, f, slopes)
     with function.loop(_int(0), first) as j:
-        column(j, builder.load(builder.gep(unknown_numbers, [j])))
+        columns.write(j, builder.load(builder.gep(unknown_numbers, [j])))
     with function.loop(first, size) as j:
-        column(j, None)
+        columns.write(j, None)
     function.store(after)
     function.end()
+
+
+class _StageSlopes(NamedTuple):
+    """The rates and their derivatives at one stage of a step, in the order of `PlantFormulas.slopes`."""
+
+    formulas: PlantFormulas
+    values: list[Any]
+
+    @property
+    def all_by_unknowns(self) -> list[Any]:
+        """Those of all rates by the unknowns."""
+        return self.values[: self.formulas.n_states * self.formulas.n_unknown]
+
+    @property
+    def rates(self) -> list[Any]:
+        """The rates themselves."""
+        first = len(self.all_by_unknowns)
+        return self.values[first : first + self.formulas.n_states]
+
+    def by_unknowns(self, i: int) -> list[Any]:
+        """Those of rate i by the unknowns."""
+        q = self.formulas.n_unknown
+        return self.values[i * q : i * q + q]
+
+    def by_states(self, i: int) -> list[Any]:
+        """Those of rate i by the states."""
+        n = self.formulas.n_states
+        first = len(self.all_by_unknowns) + n + i * n
+        return self.values[first : first + n]
+
+    def by_inputs(self, i: int) -> list[Any]:
+        """Those of rate i by the inputs."""
+        n = self.formulas.n_states
+        m = self.formulas.n_inputs
+        first = len(self.all_by_unknowns) + n + n * n + i * m
+        return self.values[first : first + m]
+
+
+class _TangentColumns:
+    """Writes how one column of tangents moves over a step: by the derivatives at its four stages."""
+
+    def __init__(self, function: _Function, f: PlantFormulas, slopes: Sequence[_StageSlopes]) -> None:
+        self._function = function
+        self._builder = function.builder
+        self._formulas = f
+        self._slopes = slopes
+        self._columns, self._du, _, _, self._size = function.llvm.args[7:]
+        self._by_unknowns = self._stored_by_unknowns()
+        self._half = self._builder.fmul(_number(0.5), function.h)
+        self._sixth = self._builder.fdiv(function.h, _number(6.0))
+
+    def _stored_by_unknowns(self) -> Any:
+        """Memory with the derivatives by unknowns, in which a column finds its own by a number."""
+        values = list(chain.from_iterable(stage.all_by_unknowns for stage in self._slopes))
+        memory = self._builder.alloca(_DOUBLE, max(len(values), 1))
+        for place, value in enumerate(values):
+            self._builder.store(value, self._builder.gep(memory, [_int(place)]))
+        return memory
+
+    def write(self, j: Any, unknown: Any) -> None:
+        """Write it for column j, which is that of an unknown, given by its number; None: of none."""
+        function = self._function
+        builder = self._builder
+        places = [self._element(self._columns, i, j) for i in range(self._formulas.n_states)]
+        of_u = [builder.load(self._element(self._du, k, j)) for k in range(self._formulas.n_inputs)]
+        before = [builder.load(place) for place in places]
+        rates: list[list[Any]] = []
+        of_x = before
+        for stage in range(len(self._slopes)):
+            rates.append([self._rate(i, stage, of_x, of_u, unknown) for i in range(len(before))])
+            if stage + 1 < len(self._slopes):
+                of_x = function.shifted(before, rates[-1], self._half if stage < 2 else function.h)
+        for place, value in zip(places, function.combined(before, rates, self._sixth), strict=True):
+            builder.store(value, place)
+
+    def _element(self, matrix: Any, row: int, j: Any) -> Any:
+        """The place of an element of a matrix with `size` columns."""
+        builder = self._builder
+        return builder.gep(matrix, [builder.add(builder.mul(_int(row), self._size), j)])
+
+    def _rate(self, i: int, stage: int, of_x: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
+        """How tangent i changes at a stage, where those of states and inputs are `of_x` and `of_u`."""
+        builder = self._builder
+        slopes = self._slopes[stage]
+        terms = list(zip(slopes.by_states(i), of_x, strict=True))
+        terms += zip(slopes.by_inputs(i), of_u, strict=True)
+        products = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
+        if unknown is not None and not all(map(_is_zero, slopes.by_unknowns(i))):
+            first = (stage * self._formulas.n_states + i) * self._formulas.n_unknown
+            place = builder.add(unknown, _int(first))
+            products.append(builder.load(builder.gep(self._by_unknowns, [place])))
+        return functools.reduce(builder.fadd, products) if products else _number(0.0)
 
 
 class _Function:
