@@ -199,7 +199,7 @@ def _short_units(signals: ShownSignals) -> tuple[str, str]:
     output, entry = signals
     if output.unit == entry.unit:
         return output.label, entry.label
-    return f"/{output.unit or output.name}", f"/{entry.unit or entry.name}"
+    return f"/ {output.unit or output.name}", f"/ {entry.unit or entry.name}"
 
 
 def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str, Callable[[Card], str]]]:
