@@ -22,7 +22,7 @@ from twinmatch.forecasting import (
     time_to_reach,
 )
 from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
-from twinmatch.showing.quantities import number, signal_names
+from twinmatch.showing.quantities import ShownSignals, number, signal_names
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
 from twinmatch.twin import TwinSettings
@@ -186,6 +186,22 @@ def _range(moment: Moment) -> str:
     return f" ({first} to {moment.latest:g})" if moment.latest is not None else f" ({first} or later)"
 
 
+def _short_names(signals: ShownSignals) -> tuple[str, str]:
+    """Output and input in headings: by their units, or by their names where both have the same unit."""
+    output, entry = signals
+    if output.unit == entry.unit:
+        return output.name, entry.name
+    return output.unit or output.name, entry.unit or entry.name
+
+
+def _short_units(signals: ShownSignals) -> tuple[str, str]:
+    """What values of output and input are in, in headings; with their names where both have the same unit."""
+    output, entry = signals
+    if output.unit == entry.unit:
+        return output.label, entry.label
+    return f"/ {output.unit or output.name}", f"/ {entry.unit or entry.name}"
+
+
 def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str, Callable[[Card], str]]]:
     """Name and text of one forecaster's figures, those of inputs left out if they were given (`driven`).
 
@@ -194,22 +210,19 @@ def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str,
     w = signal_names(plant)
     y = plant.output
     u = plant.drive
-    called = [f" {signal.unit or signal.name}" for signal in w]
-    in_unit = [f" /{unit}" for unit in called]
-    if w.output.unit == w.input.unit:
-        called = [f" {signal.name}" for signal in w]
-        in_unit = [f" {signal.label}" for signal in w]
+    of_output, of_input = _short_names(w)
+    in_output, in_input = _short_units(w)
     columns: list[tuple[str, Callable[[Card], str]]] = [
         ("who", lambda c: c.who),
         ("error", lambda c: number(c.median)),
         ("9 in 10", lambda c: number(c.nine_in_ten)),
         ("× best", lambda c: number(c.ratio)),
-        (f"end{in_unit[0]}", lambda c: number(c.end_output * y.noise, y.decimals + 1)),
-        (f"end{in_unit[1]}", lambda c: number(c.end_input * u.noise, u.decimals + 1)),
-        (f"held{called[0]}", lambda c: _share(c.coverage_output)),
-        (f"held{called[1]}", lambda c: _share(c.coverage_input)),
-        (f"width{in_unit[0]}", lambda c: number(c.width_output * y.noise, y.decimals + 1)),
-        (f"width{in_unit[1]}", lambda c: number(c.width_input * u.noise, u.decimals + 1)),
+        (f"end {in_output}", lambda c: number(c.end_output * y.noise, y.decimals + 1)),
+        (f"end {in_input}", lambda c: number(c.end_input * u.noise, u.decimals + 1)),
+        (f"held {of_output}", lambda c: _share(c.coverage_output)),
+        (f"held {of_input}", lambda c: _share(c.coverage_input)),
+        (f"width {in_output}", lambda c: number(c.width_output * y.noise, y.decimals + 1)),
+        (f"width {in_input}", lambda c: number(c.width_input * u.noise, u.decimals + 1)),
         ("score", lambda c: number(c.score, 1)),
     ]
     return [column for k, column in enumerate(columns) if not (driven and k in _OF_INPUT)]

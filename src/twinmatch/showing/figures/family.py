@@ -83,9 +83,10 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
     orders = [o.order for o in candidates[0].orders]
     places = np.arange(len(candidates))
     width = 0.8 / len(orders)
-    table = np.array([[getattr(o.total, attribute) for o in c.orders] for c in candidates], dtype=float)
+    rows = [[getattr(order.total, attribute) for order in candidate.orders] for candidate in candidates]
+    table = _above_best(np.array(rows, dtype=float), attribute)
     for k, order in enumerate(orders):
-        values = _above_best(table, attribute)[:, k]
+        values = table[:, k]
         shifted = places + (k - (len(orders) - 1) / 2) * width
         bars = axes.bar(shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)])
         for bar, candidate in zip(bars, candidates, strict=True):
@@ -120,12 +121,11 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     matrix = np.array(verdict.nu_gap)
     top = max(float(matrix.max()), 1e-12)
     image: Any = axes.imshow(matrix, cmap=MATRIX_MAP, vmin=0, vmax=top)
-    small = len(matrix) > _CROWDED
+    size = 7 if len(matrix) > _CROWDED else 8
     for i, j in np.ndindex(*matrix.shape):
-        red, green, blue, _ = image.cmap(image.norm(matrix[i, j]))
-        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        font: dict[str, Any] = {"fontsize": 7 if small else 8, "color": "white" if dark else TEXT}
-        number = axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", **font)
+        colour = "white" if _is_dark(image, float(matrix[i, j])) else TEXT
+        text = f"{matrix[i, j]:.2f}"
+        number = axes.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
         number.set_in_layout(False)  # it lies within its cell
     names = [c.name for c in verdict.candidates]
     rows = [f"{c.name}  Σ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
@@ -137,6 +137,12 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")
+
+
+def _is_dark(image: Any, value: float) -> bool:
+    """Whether the colour of a value is nearer to black than to white: by its luma (ITU-R BT.601)."""
+    red, green, blue, _ = image.cmap(image.norm(value))
+    return bool(0.299 * red + 0.587 * green + 0.114 * blue < 0.5)
 
 
 @styled
@@ -168,6 +174,14 @@ def draw_parameters(
     return figure
 
 
+def _bars(matches: Sequence[Match], shown: ParameterFormat, values: FloatArray) -> FloatArray:
+    """Lengths of the bars below and above the values, shape (2, N): none to an unbounded or unknown end."""
+    intervals = np.array([interval(match, shown.name)[:2] for match in matches])
+    ends = (intervals * shown.factor + shown.offset).T
+    lengths = np.abs(np.where(np.isfinite(ends), ends, values) - values)
+    return np.asarray(lengths, dtype=np.float64)
+
+
 def _draw_parameter(
     axes: Axes, groups: Mapping[str, Sequence[MatchReport]], shown: ParameterFormat, period: float
 ) -> None:
@@ -183,11 +197,8 @@ def _draw_parameter(
         if not points:
             continue
         values = np.array([shown.shown(value_of(match, shown.name)) for match in points.values()])
-        ends = np.array([interval(match, shown.name)[:2] for match in points.values()])
-        ends = (ends * shown.factor + shown.offset).T
-        # No bar is drawn to an unbounded or unknown end.
-        spread = np.abs(np.where(np.isfinite(ends), ends, values) - values)
-        axes.errorbar(list(points), values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
+        bars = _bars(list(points.values()), shown, values)
+        axes.errorbar(list(points), values, bars, ls="", lw=1, capsize=2, label=name, **styles[name])
         all_values += values.tolist()
     low = min(all_values)
     high = max(all_values)
