@@ -418,6 +418,8 @@ def track(
     `at`, shape (n,), are the means of the belief: states, parameters, and the places SHARE to RATE;
     `covariance`, shape (n, n), is theirs.
     """
+    # One function for its length: the steps of an extended Kalman filter on one set of arrays, which are made
+    # once for all samples.
     free = fixed.free
     m = free.places.size
     size = at.size

@@ -208,6 +208,7 @@ def gain_slopes(
 ) -> None:
     """Derivatives of commands and next state, shape (m + q, t), by the gains at the places `tuned` of the
     law, shape (t,)."""
+    # One function with a case for each kind of law: a kernel cannot hold functions as values.
     q = z.size
     m = u.size
     p = y.size
@@ -220,7 +221,11 @@ def gain_slopes(
             change = ((-y[0] if law[ON_MEASUREMENT] != 0.0 else error) - z[1]) / law[PERIOD]
             free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
             unlimited = law[PROPORTIONAL] * error + z[0] + law[DERIVATIVE] * change
-            derivative = error if place == PROPORTIONAL else change if place == DERIVATIVE else 0.0
+            derivative = 0.0
+            if place == PROPORTIONAL:
+                derivative = error
+            elif place == DERIVATIVE:
+                derivative = change
             slopes[0, t] = free * derivative
             slopes[1, t] = law[PERIOD] * law[BACK] * (free - 1.0) * derivative
             if place == INTEGRAL:

@@ -290,6 +290,8 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     (n + 1, n + 1); its last entry is the sum of r², or of 2(√(1 + r²) − 1) if robust, with rows weighted by
     1/√(1 + r²). A run ends when its sum exceeds `limit`.
     """
+    # One function for its length: states, loop and sums of a sample share arrays, and a call between them
+    # would be compiled into each of its callers again.
     vector, law, x, columns, steps = start
     unknown_places, tuned, memory, references, disturbances, measured, weights, robust, period = data
     size = disturbances.shape[0]

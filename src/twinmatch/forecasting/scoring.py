@@ -297,15 +297,26 @@ class Ledger:
         The N readings are those after the previous horizon up to this one; `horizon` is an index. Their
         errors are correlated, so together they count as one reading of each signal, of mean length.
         """
-        accounts = (*range(len(BASELINES)), *names)
-        if not self._rows.keys() >= {*accounts}:
-            self._set((name, name) for name in (*self._rows, *accounts))
-        rows = [self._rows[name] for name in accounts]
+        rows = self._rows_of((*range(len(BASELINES)), *names))
         sizes = np.abs(np.concatenate([baselines, errors]))
         means = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
         account = self._accounts[rows, horizon]
         account[:, _LENGTH] = self.kept * account[:, _LENGTH] + self._characters(account, means)
         account[:, _WEIGHT] = self.kept * account[:, _WEIGHT] + 1.0
+        self._average_sizes(account, means)
+        self._accounts[rows, horizon] = account
+
+    def _rows_of(self, accounts: Sequence[int | str]) -> list[int]:
+        """Where these accounts are; those that are missing are opened."""
+        if not self._rows.keys() >= {*accounts}:
+            self._set((name, name) for name in (*self._rows, *accounts))
+        return [self._rows[name] for name in accounts]
+
+    def _average_sizes(self, account: FloatArray, means: FloatArray) -> None:
+        """Take mean errors, shape (accounts, signals), and those of all baselines beside them.
+
+        Their sizes go into the running averages, and how much they differ into those of the squares.
+        """
         before = self.kept * account[:, _COUNTED, None]
         counted = before + 1.0
         account[:, _COUNTED] = counted[:, 0]
@@ -314,7 +325,6 @@ class Ledger:
         account[:, self._sizes] = (before * account[:, self._sizes] + sizes_beside) / counted
         squares = _squared_differences(sizes_beside / account[:, self._sizes])
         account[:, self._squares] = (before * account[:, self._squares] + squares) / counted
-        self._accounts[rows, horizon] = account
 
     def _characters(self, account: FloatArray, means: FloatArray) -> FloatArray:
         """Length of the readings with these mean errors, shape (accounts, signals), in characters, each given
