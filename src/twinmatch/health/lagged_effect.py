@@ -75,7 +75,7 @@ class ErrorModel:
     share: float = _ERRORS.share**2
     """Variance of the error as a share of the movement."""
     seen: tuple[float, float] = _FIRST
-    """Stretches each of them is known from."""
+    """Number of stretches that each of the two is known from."""
     record: Record = field(default_factory=Record)
     """Of all stretches so far."""
 
@@ -114,7 +114,7 @@ class ErrorModel:
 
 
 class TrackedSample(NamedTuple):
-    """What is known of one sample."""
+    """A sample, and what was known of the plant and of the equations' errors then."""
 
     parameters: Parameters
     states: FloatArray
@@ -191,13 +191,14 @@ class SimulatedSpan:
         self._given = (inputs, rows)
         self._then = (later, period)
         levels = first.parameters.model.rest[0], before
-        (begun, self.works, held_on), (_, resting, _), (_, _, stood) = self._outputs(
+        (begun, self.driven, held_on), (_, resting, _), (_, _, stood) = self._outputs(
             first.parameters, *levels
         )
-        self.moved = self.works - begun
-        """How far the output moves until the last sample ends, where `works` is the output."""
-        self.effect = self.works - resting
-        """What the drive contributes to it."""
+        """The output when the last sample ends, under the recorded inputs."""
+        self.moved = self.driven - begun
+        """How far the output moves until then."""
+        self.effect = self.driven - resting
+        """What the drive contributes to that output."""
         self.changed = held_on - stood
         """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
@@ -212,7 +213,7 @@ class SimulatedSpan:
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
                 room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
-                moved = max(moved, abs(self._outputs(room)[0][1] - self.works))
+                moved = max(moved, abs(self._outputs(room)[0][1] - self.driven))
         return moved
 
     def _outputs(self, twin: Parameters, *levels: float) -> list[list[float]]:
@@ -276,7 +277,8 @@ _EFFECT: Final = _EffectRule()
 
 
 _MINUTE: Final = -2
-"""The place of the length of time of which all readings are compared with what else could explain them."""
+"""Place in `_SPANS` of the stretch whose readings are all compared with what else could explain them: a
+minute."""
 
 
 @dataclass(frozen=True)
@@ -461,7 +463,7 @@ class LaggedEffect(DriveEffect):
                 period=self._period,
                 later=self._spans[0],
             )
-            error = output - stretch.works
+            error = output - stretch.driven
 
             def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
                 places = np.maximum(np.arange(first, len(past)) - delay, 0)
@@ -557,7 +559,7 @@ class LaggedEffect(DriveEffect):
     @staticmethod
     def _explains(stretch: SimulatedSpan, output: float, effect: float) -> bool:
         """Whether a later input leaves no effect missing: it acts, or cannot have acted enough yet."""
-        missing = (stretch.works - output) / stretch.effect if stretch.effect else 0.0
+        missing = (stretch.driven - output) / stretch.effect if stretch.effect else 0.0
         return stretch.effect / effect < FOLLOWS[0] or missing < 1.0 - FOLLOWS[0]
 
     @property

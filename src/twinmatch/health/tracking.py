@@ -72,7 +72,7 @@ class TrackedBlocks:
         """Samples of a block."""
         self.tracker = Tracker(parameters, period, LEVELS)
         self.blocks: deque[Block] = deque(maxlen=REACH)
-        """The last ones, oldest first."""
+        """The newest blocks, oldest first."""
         self.count = 0
         """Blocks so far."""
         self.known = 0
