@@ -116,7 +116,7 @@ class Experimenter(Desk):
         """Find the course for a wish and, if it is to run, have the controller follow it."""
         newest = self._newest()
         of_controller = self._parameters_of_controller() if run or self._get.service_is_ready() else {}
-        if of_controller:
+        if len(of_controller) == len(_PARAMETERS) and None not in of_controller.values():
             lowest = _by_output(of_controller["profile.lowest"])
             highest = _by_output(of_controller["profile.highest"])
             wish = replace(wish, ranges=tuple(zip(lowest, highest, strict=True)))
@@ -135,16 +135,14 @@ class Experimenter(Desk):
             self._follow(self._live.run())
 
     def _parameters_of_controller(self) -> dict[str, Any]:
-        """The values of `_PARAMETERS`, by name; empty if the controller lacks one of them.
+        """The values of `_PARAMETERS`, by name; None for one that the controller lacks.
 
         Raises:
             DeskError: it does not answer.
         """
         answer = self.answer_of(self._get, GetParameters.Request(names=list(_PARAMETERS)))
         values = [parameter_value_to_python(value) for value in answer.values]
-        if len(values) != len(_PARAMETERS) or None in values:
-            return {}
-        return dict(zip(_PARAMETERS, values, strict=True))
+        return dict(zip(_PARAMETERS, values, strict=False))
 
     def _judge(self, verdict: Verdict, snapshot: Snapshot) -> None:
         if self._running and self._live is not None:
