@@ -453,8 +453,8 @@ class LaggedEffect(DriveEffect):
                 break
             if not past[first].settled:
                 continue
-            before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
-            stood = math.fsum(before) / len(before)
+            inputs_before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
+            stood = math.fsum(inputs_before) / len(inputs_before)
             stretch = SimulatedSpan(
                 past[first],
                 inputs[first:],
@@ -466,6 +466,7 @@ class LaggedEffect(DriveEffect):
             error = output - stretch.driven
 
             def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
+                """The same stretch if inputs act so many samples later."""
                 places = np.maximum(np.arange(first, len(past)) - delay, 0)
                 return SimulatedSpan(
                     past[first],
@@ -498,35 +499,40 @@ class LaggedEffect(DriveEffect):
         if effect == 0.0:
             return
         share = 1.0 + error / effect
-        likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        accuses_drive = share < FOLLOWS[0]
+        usual_error = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
         if self.newcomer:
-            likely = max(likely, errors.mean)
-        least = max(_EFFECT.noises * self._noise, _EFFECT.errors * likely)
-        nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
-        sees = errors.record.sees_drive(self._noise)
-        if share < FOLLOWS[0] and not (nothing or sees):
+            usual_error = max(usual_error, errors.mean)
+        least_effect = max(_EFFECT.noises * self._noise, _EFFECT.errors * usual_error)
+        shows_nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
+        sees_drive = errors.record.sees_drive(self._noise)
+        if accuses_drive and not (shows_nothing or sees_drive):
             return
         missing = abs(error) if share < 1.0 else 0.0
-        counts = abs(effect) >= least
-        if len(stretch) >= self._spans[_EFFECT.long] and sees:
-            counts = counts or _EFFECT.missing * least <= missing <= _EFFECT.most_missing * abs(effect)
+        counts = abs(effect) >= least_effect
+        if len(stretch) >= self._spans[_EFFECT.long] and sees_drive:
+            least_missing = _EFFECT.missing * least_effect
+            counts = counts or least_missing <= missing <= _EFFECT.most_missing * abs(effect)
         if share >= self.share or not counts:
             return
         if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(_EFFECT.room_change):
-            return
-        if share < FOLLOWS[0] and any(
+            return  # a colder room may be what is missing
+        if accuses_drive and any(
             self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
         ):
+            return  # the input may act later
+        if accuses_drive and not self._frozen and self._has_rival():
             return
-        if share < FOLLOWS[0] and not self._frozen:
-            if not self._compared:
-                self.rival = self._better_cause()
-                self._compared = True
-            if self.rival is not None:
-                return
         self.share = share
         self.length = len(stretch)
         self.expected = effect
+
+    def _has_rival(self) -> bool:
+        """Whether something explains the newest readings far better than a lost drive; asked of them once."""
+        if not self._compared:
+            self.rival = self._better_cause()
+            self._compared = True
+        return self.rival is not None
 
     def _better_cause(self) -> Cause | None:
         """What explains the last minute far better than a drive that has lost its effect; None if nothing.
