@@ -67,7 +67,7 @@ def main() -> None:
             runs.append(alarms)
             costs.append(cost)
             for a in alarms if options.verbose else ():
-                near = ", ".join(f"{f.cause[0].value} {f.cause[1]} {f.evidence:.1f}" for f in a.found[:4])
+                near = ", ".join(f"{f.cause[0].value} {f.cause[1]} {f.evidence:.1f}" for f in a.suspects[:4])
                 print(
                     f"  {seed} {a.flagged} {a.fault.value} {a.signal} since {a.first}, over {a.last}: {near}"
                 )

@@ -151,7 +151,7 @@ def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
         for sample in run(seed, "nothing", 250):
             competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
             best = max(
-                [best, *(candidate.evidence for candidate in competition.found() if candidate.row.number)]
+                [best, *(candidate.evidence for candidate in competition.suspects() if candidate.row.number)]
             )
         highest.append(best)
     for nats in (3.0, 5.0):

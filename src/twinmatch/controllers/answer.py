@@ -192,10 +192,10 @@ def try_controller(
     stability, held_twins, notes = _stabilities(
         list(zip(members, drawn, strict=True)), points, question, progress
     )
-    owners = [(members[k], drawn[k]) for k in held_twins]
-    courses = [_courses(owners, law, question, progress) for law in laws]
+    twins_with_draws = [(members[k], drawn[k]) for k in held_twins]
+    courses = [_courses(twins_with_draws, law, question, progress) for law in laws]
     names = tuple(members[k].name for k in held_twins)
-    decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
+    decision, sentence, left_open = _decide(plant, names, stability, courses[0], question)
     period = question.holding.period
     guarantee = None
     if stability and all(loop.eigenvalue < 1.0 for loop in stability):
@@ -210,7 +210,7 @@ def try_controller(
         names,
         points,
         tuple(stability),
-        asked,
+        left_open,
         np.arange(len(question.references), dtype=np.float64) * period,
         question.references,
         courses[0],
@@ -245,6 +245,8 @@ def _reservations(plant: type[Plant], law: Law) -> list[str]:
 
 
 class _Progress:
+    """Counts the draws that are done, and reports them."""
+
     def __init__(self, watch: Callable[[int, int], None] | None, total: int) -> None:
         self._watch = watch
         self._total = total
@@ -257,7 +259,7 @@ class _Progress:
 
 
 def _stabilities(
-    owners: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
+    twins_with_draws: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
     points: Sequence[Point],
     question: ControllerQuestion,
     progress: _Progress,
@@ -271,7 +273,7 @@ def _stabilities(
     stability = []
     held_twins = []
     notes = []
-    for k, (member, drawn) in enumerate(owners):
+    for k, (member, drawn) in enumerate(twins_with_draws):
         progress.step(len(drawn))
         try:
             if linear is not None:
@@ -285,7 +287,7 @@ def _stabilities(
 
 
 def _courses(
-    owners: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
+    twins_with_draws: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
     law: Law,
     question: ControllerQuestion,
     progress: _Progress,
@@ -294,12 +296,12 @@ def _courses(
     if law is not question.law:
         question = replace(question, state=None)
     acting = taken_by(
-        owners[0][0].parameters.model.plant, law if isinstance(law, TwoLevel) else as_linear(law)
+        twins_with_draws[0][0].parameters.model.plant, law if isinstance(law, TwoLevel) else as_linear(law)
     )
     rng = np.random.default_rng(question.seed)
     runs = []
     owner = []
-    for k, (member, drawn) in enumerate(owners):
+    for k, (member, drawn) in enumerate(twins_with_draws):
         for parameters in drawn:
             progress.step()
             try:
@@ -321,9 +323,13 @@ def _courses(
 
 
 class _Course(NamedTuple):
+    """What a law does on one draw."""
+
     run: Run
+    """Over the profile, with noisy readings."""
     figures: dict[CourseFigure, float]
     conduct: dict[str, bool]
+    """What a safe course never does, in words, and whether this one does it."""
 
 
 def _course(
@@ -389,6 +395,7 @@ def _runs_at_rest(
 
 
 def _band(rows: Sequence[FloatArray]) -> FloatArray:
+    """Lower end, median and upper end over draws of a course, each of shape (N, k), shape (3, N, k)."""
     quantiles = np.quantile(np.array(rows), _BAND_QUANTILES, axis=0, method="nearest")
     return np.asarray(quantiles, dtype=np.float64)
 
@@ -449,6 +456,7 @@ def _safe_words(names: Sequence[str], stability: Sequence[MemberStability]) -> s
 
 
 def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
+    """On how many of the twins a law fails, on which of them first, and why, in words."""
     on = f"on {number} of {len(names)} twins, first on {first}" if len(names) > 1 else f"on {first}"
     return f"fails {on}: {why}"
 

@@ -34,15 +34,15 @@ class _About(msgspec.Struct):
 
 _ABOUT: Final = {"kind", *_About.__struct_fields__}
 _REGULATOR: Final = ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
-_MATRICES: Final = [each.name for each in fields(LinearLaw) if each.name not in {"period", "drives"}]
-_LEVELS: Final = [each for each in fields(TwoLevel) if each.name != "period"]
-_GAINS: Final = [each.name for each in fields(FilteredPid) if each.name != "proportional"]
+_MATRICES: Final = [field.name for field in fields(LinearLaw) if field.name not in {"period", "drives"}]
+_LEVELS: Final = [field for field in fields(TwoLevel) if field.name != "period"]
+_GAINS: Final = [field.name for field in fields(FilteredPid) if field.name != "proportional"]
 _VECTORS: Final = {"offset", "shift", "low", "high", "u0", "y0"}
 _Pid: Final = document_type(["proportional"], _GAINS)
 _Loops: Final = document_type(["loops"], kind=list[dict[str, Any]])
 _TwoLevel: Final = document_type(
-    (each.name for each in _LEVELS if each.default is MISSING),
-    (each.name for each in _LEVELS if each.default is not MISSING),
+    (field.name for field in _LEVELS if field.default is MISSING),
+    (field.name for field in _LEVELS if field.default is not MISSING),
 )
 _StateSpace: Final = document_type(_MATRICES[:5], _MATRICES[5:], _Numbers)
 _Regulator: Final = document_type(_REGULATOR, ("Re", "low", "high"), _Numbers)
@@ -66,11 +66,11 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
         raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
     about = _read(_About, document)
     _check_about(about, plant)
-    entries = {}
+    law_keys = {}
     for key, value in document.items():
         if key not in _ABOUT:
-            entries[key] = value.tolist() if isinstance(value, np.ndarray) else value
-    law = makers[kind](entries, plant, period if about.period is None else about.period)
+            law_keys[key] = value.tolist() if isinstance(value, np.ndarray) else value
+    law = makers[kind](law_keys, plant, period if about.period is None else about.period)
     return suited(law, plant, period)
 
 
@@ -110,9 +110,9 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
     law_from(document, plant, period)
     if document.get("kind") != "pid":
         raise ControllerError("is not of kind pid; the controller of a rig runs one PID for each output")
-    entries = {key: value for key, value in document.items() if key not in _ABOUT}
+    law_keys = {key: value for key, value in document.items() if key not in _ABOUT}
     loops = []
-    for pid in _pids(entries, plant):
+    for pid in _pids(law_keys, plant):
         gains = PidGains(
             pid.proportional,
             pid.integral,
@@ -130,6 +130,11 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
 
 
 def _check_about(about: _About, plant: type[Plant]) -> None:
+    """Refuse a document whose signals or units are others than the plant's.
+
+    Raises:
+        ControllerError: they are.
+    """
     for key, named, declared in (
         ("outputs", about.outputs, plant.outputs),
         ("inputs", about.inputs, plant.drives),

@@ -26,7 +26,7 @@ from twinmatch.signals import FloatArray
 _HELD: Final = 3.0
 """Distance from a level up to which a plant is held there, in the noise of its outputs."""
 _ATTEMPTS: Final = 20
-"""Draws for each that is wanted, at most: with a wide covariance most may be impossible."""
+"""Most attempts for each draw that is wanted: with a wide covariance most may be impossible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,18 +91,20 @@ class Holding:
     that law does not bring it there."""
 
     law: Law | None
-    """The law that ran; None: it is not known. Two levels hold nothing at rest."""
+    """The law that ran; None: it is not known. Only a linear law holds a plant at rest; two levels do not."""
     period: float
     """Sample time, s."""
     samples: int
+    """Samples for which the law holds the plant, so that it comes to rest."""
 
     @property
-    def _switches(self) -> bool:
+    def _holds_nothing(self) -> bool:
+        """Whether there is no law that could bring a plant to rest."""
         return self.law is None or isinstance(self.law, TwoLevel)
 
     def _limits(self, parameters: Parameters) -> FloatArray:
         """Least and greatest commands, shape (2, m)."""
-        if self.law is None or self._switches:
+        if self.law is None or self._holds_nothing:
             return np.array([drive.limits for drive in parameters.model.plant.drives.values()]).T
         return self.law.code[LOW : LOW + 2 * self.law.n_inputs].reshape(2, -1)
 
@@ -116,8 +118,8 @@ class Holding:
         """
         model = parameters.model
         rest_point = None
-        if self.law is not None and not self._switches:
-            rest_point = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
+        if self.law is not None and not self._holds_nothing:
+            rest_point = self._held_by_law(parameters, np.array(levels, dtype=np.float64), disturbances)
         if rest_point is None:
             rest_point = rest_at(parameters, levels, disturbances)
         states, inputs = rest_point
@@ -129,7 +131,9 @@ class Holding:
             raise PlantError(f"{model.title}: it is not held at {where} within the limits of its drives")
         return linearised_at(parameters, states, inputs, self.period, disturbances)
 
-    def _held(self, parameters: Parameters, row: FloatArray, disturbances: FloatArray | None) -> Rest | None:
+    def _held_by_law(
+        self, parameters: Parameters, row: FloatArray, disturbances: FloatArray | None
+    ) -> Rest | None:
         """Where the law that ran holds it; None if that is within limits, but not near these outputs."""
         model = parameters.model
         steady = model.disturbance_row(disturbances)

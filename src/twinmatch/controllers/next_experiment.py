@@ -47,7 +47,7 @@ ENOUGH: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) *
 MIN_COURSE: Final = 30
 """Least samples of an experiment."""
 LEAST: Final = 1.0
-"""Characters below which a course is not worth its time."""
+"""Least characters that make a course worth its time."""
 _BAND: Final = 1.645
 """Half width of a band that holds nine in ten, standard deviations."""
 _SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -358,13 +358,13 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     parameters = leader.parameters
     declared = parameters.model.declared
     before = terms.before.tolist()
-    lost = next((name for name in leader.free if declared[name].role == "losses"), None)
-    if lost is None:
+    losses = next((name for name in leader.free if declared[name].role == "losses"), None)
+    if losses is None:
         return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
 
     def command(growth: float) -> float | None:
         """What grown losses need, from rest on; None where they cannot be held."""
-        grown = parameters.replace(**{lost: growth * parameters[lost]})
+        grown = parameters.replace(**{losses: growth * parameters[losses]})
         try:
             rest_point = terms.holding.linear(grown, before).rest
         except PlantError:
@@ -378,7 +378,7 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     most_by = math.inf if most_command is None else most_command / usual_command
     if _FAULTS.right * most_by <= 1.0:
         return (
-            f"at {before} the {_FAULTS.growth:g}-fold {lost} needs a command {most_by:.3g} times as large: "
+            f"at {before} the {_FAULTS.growth:g}-fold {losses} needs a command {most_by:.3g} times as large: "
             "a drive weaker than that is not confused with it"
         )
     share = max(_FAULTS.share, 1.0 / most_by)
@@ -393,18 +393,18 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
         growth = float(brentq(excess, 1.0, _FAULTS.growth, xtol=1e-6))
     if abs(excess(growth)) > _FAULTS.near:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
-    losses = _with_grown_losses(leader, lost, growth)
+    grown_losses = _with_grown_losses(leader, losses, growth)
     weak_drive = replace(leader, name="weak drive", states=None)
-    return LearningGoal("fault", (Contender(weak_drive, share), Contender(losses)), pairs=True)
+    return LearningGoal("fault", (Contender(weak_drive, share), Contender(grown_losses)), pairs=True)
 
 
-def _with_grown_losses(leader: TriedTwin, lost: str, growth: float) -> TriedTwin:
-    """The twin if its losses have grown, by a factor of which one is unsure."""
-    parameters = leader.parameters.replace(**{lost: growth * leader.parameters[lost]})
+def _with_grown_losses(leader: TriedTwin, losses: str, growth: float) -> TriedTwin:
+    """The twin if the parameter `losses` has grown by about this factor."""
+    parameters = leader.parameters.replace(**{losses: growth * leader.parameters[losses]})
     size = len(leader.free)
     covariance = np.array(np.zeros((size, size)) if leader.covariance is None else leader.covariance)
-    place = leader.free.index(lost)
-    covariance[place, place] += (_FAULTS.unsure * parameters[lost]) ** 2
+    place = leader.free.index(losses)
+    covariance[place, place] += (_FAULTS.unsure * parameters[losses]) ** 2
     return replace(leader, name="grown losses", parameters=parameters, covariance=covariance, states=None)
 
 
@@ -448,6 +448,7 @@ def next_experiment(
     reach = min(NEARLY * max(float(course.curve.max()) for course in tried), goal.most)
 
     def delay(course: _RatedCourse) -> float:
+        """A cost that is least for the course that brings what is to be reached soonest."""
         return _delay(course.curve, reach)
 
     for early in sorted(ranked, key=delay)[: 2 * _EFFORT.few]:
@@ -540,6 +541,7 @@ def _delay(curve: FloatArray, reach: float) -> float:
 
 
 def _reaching(curve: FloatArray, reach: float) -> int:
+    """Number of the mark at which a course first reaches this much; that behind the last if it never does."""
     reached = np.flatnonzero(curve >= reach)
     return int(reached[0]) if reached.size else curve.size
 
@@ -575,6 +577,8 @@ def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, 
 
 
 class _Search:
+    """Runs courses on all twins of a family, and rates them by a goal."""
+
     def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
         self.goal = goal
         self.terms = terms
@@ -606,7 +610,7 @@ class _Search:
             return None
         if not leaders and not all(self.run(twin, rows).within(self.terms.outputs) for twin in self.others):
             return None
-        return self._characters(runs, self.marks, nearly=leaders)
+        return self._characters(runs, self.marks, from_one_side=leaders)
 
     def rated(self, staircase: Staircase, *, leaders: bool = False) -> _RatedCourse | None:
         """A course with its curve; None if a band leaves the range."""
@@ -692,22 +696,26 @@ class _Search:
         return np.asarray(model.rest + (run.inputs - model.rest) / share)
 
     def _characters(
-        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool = False
+        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, from_one_side: bool = False
     ) -> FloatArray:
-        """What is known at these ends of a course; nearly: a pair is as far apart from either side."""
+        """What is known at these ends of a course.
+
+        With `from_one_side`, a pair is compared from one side only, which is nearly as far apart as from the
+        other.
+        """
         if self.goal.pairs:
-            nearest = self._nearest_rivals(runs, marks, nearly=nearly)
+            nearest = self._nearest_rivals(runs, marks, from_one_side=from_one_side)
             return np.asarray(np.mean(np.minimum(nearest, ENOUGH), axis=0))
         learned = [self._learned(k, run, marks) for k, run in enumerate(runs)]
         return np.asarray(np.mean(learned, axis=0))
 
     def _nearest_rivals(
-        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool
+        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, from_one_side: bool
     ) -> list[FloatArray]:
         """Of every contender, the characters that its nearest rival loses."""
         apart: dict[tuple[int, int], FloatArray] = {}
         for a, b in permutations(range(len(runs)), 2):
-            if nearly and a > b:
+            if from_one_side and a > b:
                 apart[a, b] = apart[b, a]
             else:
                 apart[a, b] = self._apart(runs[a], self.goal.contenders[b], marks)

@@ -17,8 +17,11 @@ _NEAR: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class _FirstSamples:
-    """How a law's first state is estimated: from some samples for each of its states, since recordings are
-    rounded, and without directions that rounding alone would determine."""
+    """How a law's first state is estimated.
+
+    As recordings are rounded, several samples count for each of the law's states, and directions that
+    rounding alone would determine are left out.
+    """
 
     per_state: int = 20
     """Samples for each state, at most."""

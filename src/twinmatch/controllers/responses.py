@@ -33,8 +33,11 @@ LOAD: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _SafeConduct:
-    """What a safe course does, beside staying in its range: its outputs come to rest, as far as their noise
-    lets one see it, and its drives are within their limits for more than half of the time."""
+    """What a safe course does, beside staying in its range.
+
+    Its outputs come to rest, as far as that can be seen in their noise, and its drives are within their
+    limits for more than half of the time.
+    """
 
     noise: float = 3.0
     """Movement that counts, in the noise of an output."""
@@ -73,7 +76,7 @@ def loaded(law: Law, load: FloatArray) -> Law:
 
 
 def taken_by(plant: type[Plant], law: Law) -> Law:
-    """The same law where a drive takes less than its limits, of which it does not know.
+    """The law as it acts on a plant whose drives take less than the law's own limits; the law does not know.
 
     Raises:
         PlantError: a drive takes none of its commands.
@@ -215,7 +218,7 @@ class StepFigures(NamedTuple):
 
 
 def step_figures(reference: FloatArray, output: FloatArray, noise: float, period: float) -> StepFigures:
-    """Over all steps of a set-point, each until the next one; arrays of shape (N,)."""
+    """How an output follows all steps of its set-point, each until the next one; arrays of shape (N,)."""
     places = np.flatnonzero(np.diff(reference)) + 1
     overshoots = []
     times = []
@@ -246,10 +249,14 @@ class CourseFigure:
 
 
 def quantities_of(
-    run: Run, still: Run, loads: Sequence[Run], model_of: Parameters, law: Law
+    run: Run, still: Run, loads: Sequence[Run], twin: Parameters, law: Law
 ) -> dict[CourseFigure, float]:
-    """All figures of a course over a profile, and of those after a load at each input, beside one without."""
-    plant = model_of.model.plant
+    """All figures of a law on a twin.
+
+    They are taken from its `run` over a profile, and from its runs after a load at each input (`loads`)
+    beside the one without a load (`still`).
+    """
+    plant = twin.model.plant
     outputs = list(plant.outputs.values())
     figures: dict[CourseFigure, float] = {}
     with np.errstate(over="ignore", invalid="ignore"):
@@ -278,7 +285,7 @@ def _mean_squared_error(run: Run) -> float:
 def _figures_of_output(
     run: Run, j: int, name: str, output: Output, period: float
 ) -> dict[CourseFigure, float]:
-    """Those of output number j over a profile."""
+    """The figures of output number j over a profile."""
     reference = run.references[:, j]
     y = run.outputs[:, j]
     steps = step_figures(reference, y, output.noise, period)
@@ -294,7 +301,7 @@ def _figures_of_output(
 def _figures_of_drive(
     u: FloatArray, limits: FloatArray, name: str, unit: str, period: float
 ) -> dict[CourseFigure, float]:
-    """Those of one command of a linear law, shape (N,), within its limits, shape (2,)."""
+    """The figures of one command of a linear law, shape (N,), within its limits, shape (2,)."""
     low, high = limits
     travel = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
     share_limited = float(np.mean((u <= low) | (u >= high)))

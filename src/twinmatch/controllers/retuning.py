@@ -43,7 +43,7 @@ class _RetuningLimits:
     tolerance: float = 1e-2
     """By how much limits may be missed, relative to them."""
     largest_sensitivity: float = 1e3
-    """Sensitivity as which that of a loop counts that is hardly stable, or not."""
+    """Sensitivity that counts for a loop which is hardly stable, or unstable."""
 
 
 _LIMITS: Final = _RetuningLimits()
@@ -165,10 +165,11 @@ class _Tuning:
 
     @property
     def _first(self) -> FloatArray:
+        """The tuned gains as they are before the search."""
         return np.array([getattr(self.gains, name) for name in self.names])
 
     def law(self, x: FloatArray) -> PidGains:
-        """The PID with these factors."""
+        """The PID whose gains are changed by the factors exp(x)."""
         changes: dict[str, Any] = dict(zip(self.names, (self._first * np.exp(x)).tolist(), strict=True))
         return replace(self.gains, **changes)
 
@@ -194,6 +195,7 @@ class _Tuning:
         return math.log(_travel(self.law(x)) if self.aim == "quiet" else self.cost(x)[0])
 
     def _slope(self, x: FloatArray) -> FloatArray:
+        """Derivatives of the criterion by x."""
         if self.aim == "quiet":
             return np.asarray(approx_fprime(x, self.criterion), dtype=np.float64)
         value, slope = self.cost(x)
@@ -238,8 +240,8 @@ def _cases(
     for twin in twins:
         try:
             cases.append(_case(twin, gains, level, holding, aim))
-        except TwinmatchError as found:
-            error = str(found)
+        except TwinmatchError as reason:
+            error = str(reason)
     if not cases:
         raise ControllerError(f"retune: no twin can be held at {level:g}; {error}")
     return cases
@@ -272,6 +274,7 @@ def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim:
 
 
 def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ...]:
+    """The twin linearised at the set-point and a step of it up and down, where it can be held."""
     output = twin.parameters.model.plant.output
     plants = []
     low, high = output.set_points or output.span

@@ -77,8 +77,8 @@ def stability_of(
     Raises:
         PlantError: it can be held at none of them.
     """
-    row = member.disturbances
-    loops, error = _loops(member.parameters, law, points, holding, row)
+    disturbances = member.disturbances
+    loops, error = _loops(member.parameters, law, points, holding, disturbances)
     if not loops:
         raise PlantError(error)
     sizes = {point: loop.eigenvalue for point, loop in loops.items()}
@@ -87,7 +87,7 @@ def stability_of(
     held_draws = []
     loops_of_draws = []
     for draw in drawn:
-        loops_of_draw, _ = _loops(draw, law, list(loops), holding, row)
+        loops_of_draw, _ = _loops(draw, law, list(loops), holding, disturbances)
         if loops_of_draw:
             held_draws.append(draw)
             loops_of_draws.append(list(loops_of_draw.values()))
@@ -100,7 +100,7 @@ def stability_of(
         point=worst,
         drawn=tuple(held_draws),
         eigenvalues=np.array([_largest_eigenvalue(loops_of_draw) for loops_of_draw in loops_of_draws]),
-        margins=tuple(_least(channel) for channel in zip(*margins, strict=True)),
+        margins=tuple(_least_margins(channel) for channel in zip(*margins, strict=True)),
         sensitivity=max(loop.sensitivity() for loop in loops.values()),
         plants={point: loop.plant for point, loop in loops.items()},
         others=tuple(loop.plant for loop in chain.from_iterable(loops_of_draws[:COMPARED])),
@@ -112,20 +112,25 @@ def _largest_eigenvalue(loops: Sequence[WholeLoop]) -> float:
 
 
 def _loops(
-    parameters: Parameters, law: LinearLaw, points: Sequence[Point], holding: Holding, row: FloatArray | None
+    parameters: Parameters,
+    law: LinearLaw,
+    points: Sequence[Point],
+    holding: Holding,
+    disturbances: FloatArray | None,
 ) -> tuple[dict[Point, WholeLoop], str]:
-    """The loop at every point at which the plant can be held, and why not at another."""
+    """The loop at every point at which the plant can be held, and why it cannot at the last other one."""
     loops = {}
     error = ""
     for point in points:
         try:
-            loops[point] = WholeLoop(holding.linear(parameters, point, row), law)
-        except PlantError as found:
-            error = str(found)
+            loops[point] = WholeLoop(holding.linear(parameters, point, disturbances), law)
+        except PlantError as reason:
+            error = str(reason)
     return loops, error
 
 
-def _least(margins: Sequence[ChannelMargins]) -> ChannelMargins:
+def _least_margins(margins: Sequence[ChannelMargins]) -> ChannelMargins:
+    """What remains of each margin where it is least."""
     return ChannelMargins(
         max(m.gain_down for m in margins),
         min(m.gain_up for m in margins),
@@ -146,11 +151,11 @@ class OpenQuestion:
     """That step, in the drive's unit."""
 
 
-def open_question(found: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
+def open_question(stability: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
     """The parameter that decides over the draws, and the step after which the outputs show it most."""
-    name = _deciding_parameter(found)
-    values = [draw[name] for draw in found.drawn]
-    parameters = found.member.parameters
+    name = _deciding_parameter(stability)
+    values = [draw[name] for draw in stability.drawn]
+    parameters = stability.member.parameters
     lowest = parameters.replace(**{name: min(values)})
     highest = parameters.replace(**{name: max(values)})
     steps = {
@@ -164,14 +169,14 @@ def open_question(found: MemberStability, point: Sequence[float], holding: Holdi
     return OpenQuestion(name, best, steps[best])
 
 
-def _deciding_parameter(found: MemberStability) -> str:
+def _deciding_parameter(stability: MemberStability) -> str:
     """Name of the open parameter with which the largest eigenvalue moves most over the draws."""
-    free = found.member.free
+    free = stability.member.free
     rows = []
-    for draw in found.drawn:
+    for draw in stability.drawn:
         rows.append([draw[name] for name in free])
     values = np.array(rows)
-    sizes = np.where(np.isfinite(found.eigenvalues), found.eigenvalues, UNBOUNDED)
+    sizes = np.where(np.isfinite(stability.eigenvalues), stability.eigenvalues, UNBOUNDED)
     with np.errstate(all="ignore"):
         deviations = (values - values.mean(axis=0)) / values.std(axis=0)
         related = np.nan_to_num(np.abs(deviations.T @ (sizes - sizes.mean())))
@@ -192,7 +197,7 @@ def _difference(
 def _movement(
     parameters: Parameters, change: FloatArray, point: Sequence[float], holding: Holding
 ) -> FloatArray:
-    """How far the outputs are after a change of the inputs from those without it, negated, shape (N, o)."""
+    """The outputs without a change of the inputs minus those after it, shape (N, o)."""
     states = begin(parameters, point)
     size = holding.samples
     rest = parameters.model.rest

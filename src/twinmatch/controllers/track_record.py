@@ -143,8 +143,8 @@ def _was_stable(answer: ControllerAnswer, recorded: FloatArray, errors: FloatArr
 def widening_of(comparisons: Iterable[LawComparison]) -> tuple[float, int]:
     """The factor on the half widths of predicted costs that these comparisons show to be needed, 1 or more;
     and on how many of them it rests: those with a finite band, of laws that were not to fail."""
-    tried = [law for law in comparisons if law.decision != ControllerDecision.FAILS.value]
-    distances = sorted(law.off for law in tried if math.isfinite(law.off))
+    not_to_fail = [c for c in comparisons if c.decision != ControllerDecision.FAILS.value]
+    distances = sorted(c.off for c in not_to_fail if math.isfinite(c.off))
     number = len(distances)
     if number < MIN_COMPARISONS:
         return 1.0, number
@@ -167,6 +167,7 @@ def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> C
 
 
 def _wider(courses: Courses, factor: float) -> Courses:
+    """The courses of a law with the bands of its costs widened by a factor."""
     figures = {
         figure: spread.widened(factor) if figure.name == COST else spread
         for figure, spread in courses.figures.items()

@@ -29,8 +29,8 @@ BLOCK: Final = 10.0
 
 
 @dataclass(frozen=True)
-class _Corrections:
-    """How the corrections of a balance are learned."""
+class _CorrectionRule:
+    """How the four corrections of a balance are learned."""
 
     warmth: float = 150.0
     """Time over which the drive's part is averaged to stand for the warmth of a heat sink, s."""
@@ -46,13 +46,14 @@ class _Corrections:
     """Blocks after which one counts against a record that was earned: by then a fault has been reported."""
 
 
-_CORRECTIONS: Final = _Corrections()
+_CORRECTIONS: Final = _CorrectionRule()
 
 
 _PRIOR: Final = (0.3, 0.4, 1.0, 0.3)
 """Standard deviations of the four corrections before anything is known; the third in noises per second."""
 _KEPT: Final = 1.0 - 1.0 / 60.0
-"""What a block leaves of the record before: ten minutes; a start that went wrong is soon forgotten."""
+"""Factor by which a block reduces the weight of the record before: its memory is ten minutes, so that a start
+that went wrong is soon forgotten."""
 TRIAL: Final = 30
 """Number of newest blocks on which other parameters are tried."""
 
@@ -82,7 +83,7 @@ class Movement:
     """Measured minus both."""
 
 
-class _Correction:
+class _LearnedCorrections:
     """Recursive least squares of the four corrections."""
 
     def __init__(self, noise: float) -> None:
@@ -112,31 +113,32 @@ class Balance:
         self.noise = parameters.model.plant.output.noise
         """Standard deviation of a reading's noise: the unit of every limit."""
         self._steps = parameters.steps(period)
-        self._sampled = period
-        # Rates are per second of a plant as fast as the rig.
-        self._period = period / slow_scale(parameters.model.plant, period)
-        self._block = max(2, round(BLOCK / self._period))
-        self._block_time = self._block * self._period
-        self._correction = _Correction(self.noise)
+        self._sample_time = period
+        self._pace = period / slow_scale(parameters.model.plant, period)
+        """The sample time of a plant as fast as the rig, s: rates are per second of such a plant."""
+        self._block = max(2, round(BLOCK / self._pace))
+        self._block_time = self._block * self._pace
+        self._corrections = _LearnedCorrections(self.noise)
         self._values = [0.0, 0.0, 0.0, 0.0]
         self._states: FloatArray = np.full(len(parameters.model.states), np.nan)
         self._warmth = 0.0
         self._waiting: deque[tuple[FloatArray, float]] = deque()
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
-        self._resting: deque[float] = deque(maxlen=TRIAL)  # the same, if the drive had no effect
+        self._resting: deque[float] = deque(maxlen=TRIAL)  # errors if the drive had no effect
         self._record = Record()
         self._unsettled = deque[tuple[float, float]]()
         self.roughness = 0.0
         """RMS error of the corrected balance over the newest blocks, per second."""
         self.at_rest = 0.0
-        """The same of the balance without a drive: what a lost one would leave of it."""
+        """RMS error over these blocks of the balance without its drive's part: that after the loss of a
+        drive."""
         self._clear()
 
     @property
     def knowledge(self) -> tuple[FloatArray, FloatArray]:
         """The four corrections as learned so far, and their covariance."""
-        return self._correction.values, self._correction.covariance
+        return self._corrections.values, self._corrections.covariance
 
     def restart(self) -> None:
         """Start over after a gap, keeping the learned corrections."""
@@ -150,25 +152,26 @@ class Balance:
         """The movement from a sample's output, under its input, to the output `after` one period."""
         drive, passive = self._parts(sample)
         self._past.append(sample)
-        a, b, c, d = self._values
+        more_drive, more_passive, rate, rate_of_warmth = self._values
         moved = after - sample.output
-        constant = (c + d * self._warmth) * self._period
+        constant = (rate + rate_of_warmth * self._warmth) * self._pace
         self._sums[0] += drive
         self._sums[1] += passive
-        self._sums[2] += self._period
-        self._sums[3] += self._warmth * self._period
+        self._sums[2] += self._pace
+        self._sums[3] += self._warmth * self._pace
         self._moved += moved
         self._count += 1
-        self._warmth += (drive / self._period - self._warmth) * self._period / _CORRECTIONS.warmth
-        explained = (1.0 + a) * drive + (1.0 + b) * passive + constant
+        self._warmth += (drive / self._pace - self._warmth) * self._pace / _CORRECTIONS.warmth
+        explained = (1.0 + more_drive) * drive + (1.0 + more_passive) * passive + constant
         # The drive's part may be corrected, but not to nothing.
-        return Movement(max(1.0 + a, 0.5) * drive, (1.0 + b) * passive + constant, moved - explained)
+        corrected_drive = max(1.0 + more_drive, 0.5) * drive
+        return Movement(corrected_drive, (1.0 + more_passive) * passive + constant, moved - explained)
 
     def block(self) -> tuple[FloatArray, float] | None:
         """The mean parts of a full block and the error of the uncorrected balance, per second; else None."""
         if self._count < self._block:
             return None
-        span = self._count * self._period
+        span = self._count * self._pace
         parts = np.array(self._sums) / span
         surplus = (self._moved - self._sums[0] - self._sums[1]) / span
         self._clear()
@@ -185,8 +188,8 @@ class Balance:
         self.at_rest = _root_mean_square(self._resting)
         self._waiting.append((parts, surplus))
         if len(self._waiting) > _CORRECTIONS.confirming:
-            self._correction.learn(*self._waiting.popleft())
-            self._values = self._correction.values.tolist()
+            self._corrections.learn(*self._waiting.popleft())
+            self._values = self._corrections.values.tolist()
 
     @property
     def earned(self) -> bool:
@@ -225,7 +228,7 @@ class Balance:
     def better_of(self, parameters: Parameters) -> Balance:
         """Choose the balance to continue with: a new one with these parameters if it explains the newest
         blocks better, without corrections, than this one with its corrections; else this one."""
-        trial = Balance(parameters, self._sampled)
+        trial = Balance(parameters, self._sample_time)
         errors = []
         past = list(self._past)
         for sample, after in itertools.pairwise(past):
@@ -248,16 +251,18 @@ class Balance:
             float(sample.input),
             float(model.plant.drive.rest),
             row,
-            self._sampled,
+            self._sample_time,
             self._steps,
         )
         return drive, passive
 
     def _error_of(self, parts: FloatArray, surplus: float) -> float:
         """Error of the corrected balance in a block, per second."""
-        return surplus - float(parts @ self._correction.values)
+        return surplus - float(parts @ self._corrections.values)
 
     def _clear(self) -> None:
+        """Begin a block."""
+        # What each correction multiplies: drive's part, rest, time, and warmth of a heat sink times time.
         self._sums = [0.0, 0.0, 0.0, 0.0]
         self._moved = 0.0
         self._count = 0

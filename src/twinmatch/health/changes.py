@@ -83,8 +83,8 @@ _SEARCH: Final = _ChangeSearch()
 
 
 _PASSING: Final = ((3.0, 30.0), (12.0, 30.0), (3.0, 90.0))
-"""The same for a push that passes, which may be stronger for being short, and the time after its onset, s,
-within which it changes."""
+"""Spread of a push that passes, in standard deviations of the noise per sample, and the time after its onset,
+s, within which it changes. A short push may be stronger."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ _MIN_SIZE: Final = {
     Fault.DRIFT: 0.3,
     Fault.DISTURBANCE: 0.5,
 }
-"""Changes smaller than this, in the same units, are not reported."""
+"""Changes smaller than this, in the units of their `_Spreads`, are not reported."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Hypothesis:
     vague: bool = False
     """Whether it stands for anything that acts like it."""
     ceases: bool = False
-    """Whether it is over again, since some moment."""
+    """Whether it has ceased since: the number is what it was before."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +154,11 @@ class DetectedChange:
     gain: float
     """How much better it explains the readings since than no change does, in nats."""
     lead: float
-    """The same compared with the best of all other kinds."""
+    """How much better it explains them than the best change of any other kind does, in nats."""
     first: int
     """Sample at which it began."""
     before: float
-    """Value of the number before, in the belief's units."""
+    """Value of the number before the change, in the belief's units."""
     value: float
     """Its value now."""
     begun: bool
@@ -168,7 +168,7 @@ class DetectedChange:
     gains: tuple[float, ...] = ()
     """What each of the other kinds gains."""
     off: float = 0.0
-    """How far the readings would have shifted, if it were that, in the output's unit."""
+    """By how much the readings would have shifted if a shift were the change, in the output's unit."""
 
     @property
     def shift(self) -> float:
@@ -292,14 +292,18 @@ _UNIVERSAL: Final = 2.865064
 """Sum over all whole numbers n of 1 / (n log₂ n log₂ log₂ n …), as far as the factors are positive."""
 
 
-class _Found(NamedTuple):
+class _BestOfKind(NamedTuple):
     """The best hypothesis of one kind."""
 
     gain: float
+    """What it saves, in nats that count."""
     hypothesis: Hypothesis
     age: int
+    """Blocks since its onset."""
     level: int
+    """Index of the level of model error at which it saves most."""
     belief: Belief
+    """After all readings."""
 
 
 class _Unchanged(NamedTuple):
@@ -342,14 +346,15 @@ class ChangeDetector:
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
         self._steps = steps
-        self._back: Hypothesis | None = None
+        self._expected_back: Hypothesis | None = None
         lasting = [h for h in self.hypotheses if h.fault is not Fault.DISTURBANCE and not h.vague]
         self._jumps = list({h.index: h for h in lasting}.values())
         self._offset = next(h for h in self.hypotheses if h.fault is Fault.SENSOR_DRIFT)
-        self._best: tuple[DetectedChange, _Found] | None = None
+        self._best: tuple[DetectedChange, _BestOfKind] | None = None
         self.changed = False
-        """Whether the plant is known to be changed, and to come back some time."""
-        self._changed_at = -HORIZONS[-1]  # block at which it was so last
+        """Whether a change of the plant is known that may be undone: its forecasts say nothing of the
+        twin."""
+        self._changed_at = -HORIZONS[-1]  # the last block of a changed plant
         self._reset()
 
     @property
@@ -402,7 +407,7 @@ class ChangeDetector:
         A camera's own steps seldom have this size, so such a step of any plant is looked at.
         """
         step = replace(self._offset, shift=shift, spread=0.2 * abs(shift), at_once=True)
-        self._back = step if shift else None
+        self._expected_back = step if shift else None
 
     def push(self, sample: Sample) -> DetectedChange | None:
         """Take a sample; when a block is full, return the change, if any."""
@@ -470,7 +475,8 @@ class ChangeDetector:
     def _reset(self) -> None:
         self._best = None
         self._courses: dict[tuple[Hypothesis, int, int], _Course] = {}
-        self._idle = self._asking = 0
+        self._blocks_waited = 0  # since the last comparison
+        self._comparisons = 0  # since jumps were last worth nothing
         self._clear()
 
     def _clear(self) -> None:
@@ -500,14 +506,15 @@ class ChangeDetector:
         is_possible = (self._started >= 0) & (age >= _SEARCH.youngest) & (age <= longest)
         worth = np.where(is_possible, self._worth_of_jumps(), 0.0)
         stepped = self._stepped
-        if worth.max() < _SEARCH.worth * self.track_record.dispersion and self._best is None and not stepped:
-            self._asking = 0
+        no_jump = worth.max() < _SEARCH.worth * self.track_record.dispersion
+        if no_jump and self._best is None and not stepped:
+            self._comparisons = 0
             return None
-        self._idle += 1
-        if self._idle < min(1 + self._asking // _SEARCH.patience, _SEARCH.rarest):
+        self._blocks_waited += 1
+        if self._blocks_waited < min(1 + self._comparisons // _SEARCH.patience, _SEARCH.rarest):
             return None
-        self._idle = 0
-        self._asking = self._asking + 1
+        self._blocks_waited = 0
+        self._comparisons = self._comparisons + 1
         likeliest = stepped or int(age[np.argmax(worth.max(axis=0))])
         ages = {likeliest - _SEARCH.every, likeliest, likeliest + _SEARCH.every}
         if self._best is not None:
@@ -529,7 +536,7 @@ class ChangeDetector:
 
         Such a step may be taken for an outlier, and leave no trace.
         """
-        blocks = list(self.tracked.blocks) if self._steps or self._back else []
+        blocks = list(self.tracked.blocks) if self._steps or self._expected_back else []
         for age in range(_SEARCH.youngest, min(_SEARCH.step_age, len(blocks)) + 1):
             if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
                 return age
@@ -547,9 +554,7 @@ class ChangeDetector:
         if best.gain < _SEARCH.worth:
             self._best = None
             return None
-        # The hour in which it began, when in it, and what has changed have to be said, too.
-        hour = code_length_of(1 + self.tracked.known // _SEARCH.hour)
-        gain = best.gain - (hour + math.log(_SEARCH.hour / _SEARCH.every * len(best_of)))
+        gain = best.gain - self._cost_of_saying(len(best_of))
         if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
             cost, late = self._lateness(best.age, stretches[best.age])
             gain -= _LATE_INPUTS.coarse * max(0.0, unchanged.saved(cost, best.age))
@@ -577,29 +582,34 @@ class ChangeDetector:
         self._best = (change, best)
         return change
 
+    def _cost_of_saying(self, kinds: int) -> float:
+        """Code length of the hour in which a change began, of when in it, and of which kind it is, nats."""
+        hour = code_length_of(1 + self.tracked.known // _SEARCH.hour)
+        return hour + math.log(_SEARCH.hour / _SEARCH.every * kinds)
+
     def _best_of_each_kind(
         self, stretches: Mapping[int, Readings], unchanged: _Unchanged
-    ) -> dict[Fault, _Found]:
+    ) -> dict[Fault, _BestOfKind]:
         """The hypothesis of each kind that saves most, at one of these ages and a level."""
-        best_of: dict[Fault, _Found] = {}
-        likely = [*self.hypotheses, *([self._back] if self._back else [])]
+        best_of: dict[Fault, _BestOfKind] = {}
+        likely = [*self.hypotheses, *([self._expected_back] if self._expected_back else [])]
         for age, h, level in itertools.product(stretches, likely, self.tracked.levels):
             if level > self.tracked.level and (h.ceases or h.fault not in _LESS_ACCURATE):
                 continue
             belief, cost = self._run(h, age, level, stretches[age])
             gain = unchanged.saved(cost, age)
             if h.fault not in best_of or gain > best_of[h.fault].gain:
-                best_of[h.fault] = _Found(gain, h, age, level, belief)
+                best_of[h.fault] = _BestOfKind(gain, h, age, level, belief)
         return best_of
 
-    def _in_order(self, best_of: Mapping[Fault, _Found]) -> list[_Found]:
+    def _in_order(self, best_of: Mapping[Fault, _BestOfKind]) -> list[_BestOfKind]:
         """The kinds that count, the best first: where something has passed, no number that has come back."""
         order = sorted(best_of.values(), key=lambda f: -f.gain)
         if self._passed(best_of[Fault.DISTURBANCE]):
             return [f for f in order if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)]
         return [f for f in order if f.hypothesis.fault is not Fault.DISTURBANCE]
 
-    def _from_the_start(self, best: _Found, unchanged: _Unchanged) -> Belief | None:
+    def _from_the_start(self, best: _BestOfKind, unchanged: _Unchanged) -> Belief | None:
         """The belief if the change was there from the start; None if it has an onset.
 
         A change that explains as much from long before was there from the start.
@@ -623,16 +633,16 @@ class ChangeDetector:
         belief, cost = min(runs, key=lambda run: run[1])
         return cost + math.log(len(rivals)), belief
 
-    def _passed(self, candidate: _Found) -> bool:
+    def _passed(self, candidate: _BestOfKind) -> bool:
         """Whether something has pushed the output and ceased."""
         return candidate.gain >= _SEARCH.worth and self._came_back(candidate)
 
-    def _came_back(self, candidate: _Found) -> bool:
+    def _came_back(self, candidate: _BestOfKind) -> bool:
         """Whether a number is nearly where it was before."""
         h = candidate.hypothesis
         return h.ceases or abs(self._shift(candidate)) < _SEARCH.came_back * h.least
 
-    def _shift(self, candidate: _Found) -> float:
+    def _shift(self, candidate: _BestOfKind) -> float:
         """By how much a number has changed."""
         before = self.tracked.blocks[-candidate.age].before[self.tracked.level]
         return float((candidate.belief.values - before.values)[candidate.hypothesis.index])
@@ -646,12 +656,14 @@ class ChangeDetector:
         return self._courses[key](stretch)
 
     def _course(self, h: Hypothesis, before: Belief, level: int, stretch: Readings) -> _Course:
-        """The same for the readings since an onset: at first these, later more of them."""
+        """How the plant runs under a hypothesis since an onset: through these readings at first, later
+        through more."""
         tracker = self.tracker
         size = self.tracked.size
         if h.at_once:
-            came = stretch.output[: 2 + _SEARCH.every * size]
-            return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
+            first_readings = stretch.output[: 2 + _SEARCH.every * size]
+            largest_step = int(np.nanargmax(np.abs(np.diff(first_readings[1:]))))
+            return self._jumped(h, before, stretch, largest_step, level)
         if h.fault is Fault.DRIVE_LOST:
             places = np.linspace(0, _SEARCH.every * size, _SEARCH.onsets, endpoint=False).astype(int)
             jumps = [self._jumped(h, before, stretch, int(place), level) for place in places]
@@ -669,7 +681,7 @@ class ChangeDetector:
         return TrackedCourse(tracker, opened, level, opened=drift, lasting=lasting).to
 
     def _rising(self, h: Hypothesis, course: TrackedCourse) -> _Course:
-        """The same if a number changes evenly."""
+        """The course under a hypothesis by which a number changes evenly."""
 
         def to(readings: Readings) -> tuple[Belief, float]:
             belief, cost = course.to(readings)
@@ -678,7 +690,7 @@ class ChangeDetector:
         return to
 
     def _ceased(self, h: Hypothesis, before: Belief, level: int) -> _Course:
-        """The same if a number changes, and is as before since the moment that explains most."""
+        """The course if a number changes, and is as before since the moment that explains most."""
         number = h.index
         step = _SEARCH.every * self.tracked.size
         spread = math.sqrt(before.covariance[number, number])
@@ -702,7 +714,7 @@ class ChangeDetector:
         return to
 
     def _jumped(self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int) -> _Course:
-        """The same if a number jumps before the reading at this place."""
+        """The course if a number jumps before the reading at this place."""
         belief = before
         begun = 0.0
         if place > 0:

@@ -7,7 +7,7 @@ import math
 from twinmatch.dynamics import Drive, Model, Output, Parameter
 from twinmatch.health.evidence import Suspect
 from twinmatch.health.faults import TRAITS, Fault, Subject, signed
-from twinmatch.health.hypotheses import Named
+from twinmatch.health.hypotheses import PlacedFault
 
 
 class ChannelSentences:
@@ -19,7 +19,8 @@ class ChannelSentences:
         self._drives = list(plant.drives.items())
         self._outputs = list(plant.outputs.items())
 
-    def _declared(self, cause: Named) -> tuple[str, Drive | Output | Parameter]:
+    def _declared(self, cause: PlacedFault) -> tuple[str, Drive | Output | Parameter]:
+        """Name of what a fault concerns, and what the plant file declares of it."""
         fault, place = cause
         subject = TRAITS[fault].subject
         if subject is Subject.PARAMETER:
@@ -29,7 +30,7 @@ class ChannelSentences:
             return self._drives[place]
         return self._outputs[place]
 
-    def called(self, cause: Named) -> str:
+    def called(self, cause: PlacedFault) -> str:
         """What may have changed, in words."""
         name, declared = self._declared(cause)
         return TRAITS[cause[0]].suspect.format(name=declared.text or name)
@@ -37,7 +38,8 @@ class ChannelSentences:
     def said(
         self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]
     ) -> tuple[str, float, str]:
-        """Name of the signal, size of the change, and a sentence; `share` of a drive's effect is left."""
+        """Name of the signal, size of the change, and a sentence; `share` is what is left of a drive's
+        effect."""
         name, declared = self._declared(best.cause)
         size = math.nan
         text = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -82,8 +82,8 @@ _WIDE: Final = 10.0
 """Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
 _KEPT: Final = 1000
 """Number of alarms kept."""
-_ALL: Final = -0.8
-"""Excess of a drive's effect from which on it is lost."""
+_LOST_FROM: Final = -0.8
+"""Change of a drive's share, from 1, from which on the drive is lost: a fifth of its effect is left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +95,17 @@ class ChannelAlarm(Alarm):
     their unit; NaN for the others."""
     rivals: tuple[str, ...]
     """What the samples did not tell apart from it, in words; empty for a named fault."""
-    found: tuple[Suspect, ...]
+    suspects: tuple[Suspect, ...]
     """What competed when it was reported, the best first."""
+
+
+class _NamedChange(NamedTuple):
+    """A change that was named, and that the plant is known by since."""
+
+    fault: Fault
+    row: ChangeRow
+    shift: float
+    """Its size, in the number's unit."""
 
 
 class ChannelMonitor:
@@ -109,12 +118,13 @@ class ChannelMonitor:
         self.reservation = self.doubt = ""  # as of a `Monitor`: here names say what is known
         self.estimates: tuple[EstimatedReading, ...] = ()
         """What sensors should read now that are not believed."""
-        self.found: list[Suspect] = []
+        self.suspects: list[Suspect] = []
         """What competes now, the best first."""
         self.sentences = ChannelSentences(parameters.model)
         self._impossible = np.zeros(len(parameters.model.plant.outputs), dtype=np.int64)
         """Readings in a row of each output that its sensor cannot give."""
-        self._standing: list[tuple[Fault, ChangeRow, float]] = []
+        self._standing: list[_NamedChange] = []
+        """Named changes that have not been undone."""
         self._outputs = list(parameters.model.plant.outputs.items())
         self._spans = np.array([output.span for _, output in self._outputs])
         self._values = self._spans.mean(axis=1)
@@ -195,8 +205,9 @@ class ChannelMonitor:
             best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _NAMING.confirm, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             self._read_through(output, 0)  # no filter has taken such readings: the newest is best
-        self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
-        self._judge(self.found)
+        suspects = map(self._lost_or_weak, self.competition.suspects())
+        self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
+        self._judge(self.suspects)
         for output in [*self.competition.through]:
             if not self._lies(output):
                 del self.competition.through[output]
@@ -204,26 +215,31 @@ class ChannelMonitor:
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
         on = self.on
-        by_alarm = on is not None and on.fault in _BY_ITSELF and on.found[0].cause[1] == output
-        return by_alarm or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
+        by_alarm = on is not None and on.fault in _BY_ITSELF and on.suspects[0].cause[1] == output
+        return by_alarm or any(named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing)
 
-    def _lost_or_weak(self, f: Suspect) -> Suspect:
-        """A drive of which nearly nothing is left is lost, whatever it was taken for."""
-        if f.cause[0] is not Fault.DRIVE_WEAK:
-            return f
-        lost = f.shift + self.competition.believed(f.row.number) <= _ALL
-        return replace(f, cause=(Fault.DRIVE_LOST, f.cause[1])) if lost else f
+    def _lost_or_weak(self, suspect: Suspect) -> Suspect:
+        """The suspect; a weak drive of which nearly nothing is left becomes a lost one."""
+        fault, drive = suspect.cause
+        if fault is not Fault.DRIVE_WEAK:
+            return suspect
+        lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
+        return replace(suspect, cause=(Fault.DRIVE_LOST, drive)) if lost else suspect
 
-    def shows(self, f: Suspect) -> bool:
-        """Whether it shows: a sensor that repeats its reading is frozen once the plant should have moved."""
-        fault, output = f.cause
+    def shows(self, suspect: Suspect) -> bool:
+        """Whether it can be seen yet: a sensor that repeats its reading is frozen once the plant should have
+        moved."""
+        fault, output = suspect.cause
         return fault is not Fault.SENSOR_FROZEN or self.competition.frozen(output, self._values[output])
 
-    def _counts(self, f: Suspect) -> bool:
-        """A push explains anything while it lasts; so it counts once it has passed."""
-        return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _ENDING.faded
+    def _counts(self, suspect: Suspect) -> bool:
+        """Whether a suspect competes: a push does once it has passed, as it explains anything while it
+        lasts."""
+        return suspect.cause[0] is not Fault.DISTURBANCE or self.competition.remains(suspect) < _ENDING.faded
 
     def _judge(self, suspects: list[Suspect]) -> None:
+        """End the alarm that is over; raise one for a cause that has led for long enough, or for none that
+        leads."""
         competition = self.competition
         on = self.on
         if on is not None and self._over(on, suspects):
@@ -236,16 +252,16 @@ class ChannelMonitor:
             self._leads = (None, 0)
             self._unnamed = 0
             return
-        named = [f for f in suspects if f.cause[0] is not Fault.DRIFT]
+        named = [suspect for suspect in suspects if suspect.cause[0] is not Fault.DRIFT]
         if named and named[0].evidence > suspects[0].evidence - LEAD:
             suspects = named  # the unknown, which may act as anything does, counts only far ahead
         best = suspects[0]
-        rivals = [f.evidence for f in suspects[1:] if self._rivals(f, best)]
+        rivals = [suspect.evidence for suspect in suspects[1:] if self._exclude_each_other(suspect, best)]
         leads = best.evidence - max([0.0, *rivals]) >= LEAD
         self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
         if self._leads[1] < _NAMING.holds:
             return
-        if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._known(best)):
+        if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._is_to_be_named(best)):
             self._name(best, suspects)
         elif not leads:
             self._unnamed += 1
@@ -254,46 +270,57 @@ class ChannelMonitor:
                 self._raise(Fault.DRIFT, best, suspects)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
+        """Whether the fault of the alarm that is on has ended."""
         if on.fault is Fault.SENSOR_FROZEN:
-            return self.competition.sensors[on.found[0].cause[1]].repeats == 0
+            return self.competition.sensors[on.suspects[0].cause[1]].repeats == 0
         if on.fault is Fault.SENSOR_IMPLAUSIBLE:
-            return not self._impossible[on.found[0].cause[1]]
+            return not self._impossible[on.suspects[0].cause[1]]
         if on.fault is Fault.DISTURBANCE:
             return self._index - on.flagged > _ENDING.passed * self.competition.second
         return on.fault is Fault.DRIFT and (not suspects or suspects[0].evidence < 0.0)
 
-    def _known(self, best: Suspect) -> bool:
-        """Whether a change that leads is to be named; if not, it is learned in silence."""
+    def _is_to_be_named(self, best: Suspect) -> bool:
+        """Whether a change that leads is to be named.
+
+        If not, it may be learned in silence: the end of a named change, or a change of a plant that is not
+        known yet.
+        """
         age = (self.competition.count - best.born) / self.competition.second
         if best.cause[0] is Fault.DRIVE_WEAK and age < _NAMING.sized:
             return False
-        back = next((s for s in self._standing if self._undoes(best, s)), None)
-        if back is not None:
-            self._standing.remove(back)
-            if self.on is not None and self.on.fault is back[0]:
+        undone = next((named for named in self._standing if self._undoes(best, named)), None)
+        if undone is not None:
+            self._standing.remove(undone)
+            if self.on is not None and self.on.fault is undone.fault:
                 self._close()
         wait = _NAMING.learned if best.cause[0] in _LEARNED_FIRST else _NAMING.young
         young = self.competition.known < wait and best.cause[0] is not Fault.DRIVE_LOST
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
         material = abs(best.shift) >= best.row.least
-        if back is None and material and not young:
+        if undone is None and material and not young:
             return True
-        if back is not None or best.evidence > 2.0 * CHANGE:
+        if undone is not None or best.evidence > 2.0 * CHANGE:
             self._adopt(best)
         return False
 
     @staticmethod
-    def _rivals(f: Suspect, best: Suspect) -> bool:
-        """Whether both cannot be said at once: a drive that is lost is weak, too, but not the reverse."""
-        weak = best.cause[0] is Fault.DRIVE_WEAK and f.cause[0] is Fault.DRIVE_LOST
-        return weak or f.row.number != best.row.number
+    def _exclude_each_other(suspect: Suspect, best: Suspect) -> bool:
+        """Whether a suspect must be excluded before the best one is named.
+
+        Two faults of one number need not be told apart, as a lost drive is weak, too; but a weak drive is not
+        named while it may be a lost one.
+        """
+        may_be_lost = best.cause[0] is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST
+        return may_be_lost or suspect.row.number != best.row.number
 
     @staticmethod
-    def _undoes(f: Suspect, standing: tuple[Fault, ChangeRow, float]) -> bool:
-        _, row, shift = standing
-        remaining = abs(shift + f.shift)
-        return row.number == f.row.number and remaining <= max(_ENDING.remainder * abs(shift), f.row.least)
+    def _undoes(suspect: Suspect, named: _NamedChange) -> bool:
+        """Whether a suspect brings the number of a named change nearly back to what it was before."""
+        if named.row.number != suspect.row.number:
+            return False
+        remaining = abs(named.shift + suspect.shift)
+        return remaining <= max(_ENDING.remainder * abs(named.shift), suspect.row.least)
 
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
@@ -305,23 +332,30 @@ class ChannelMonitor:
         if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
             return  # what does more than before has no name
         on = self.on
-        if on is None or (on.fault, on.found[0].cause[1]) != (fault, signal):
+        if on is None or (on.fault, on.suspects[0].cause[1]) != (fault, signal):
             self._raise(fault, best, suspects)
         if fault is not Fault.DISTURBANCE:
-            self._standing.append((fault, best.row, best.shift))
+            self._standing.append(_NamedChange(fault, best.row, best.shift))
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
             self._read_through(signal, best.born)
 
     def _adopt(self, best: Suspect) -> None:
-        """The plant is so from now on; what has changed may be undone."""
+        """Take a change for how the plant is from now on; expect that named changes may be undone."""
         self.competition.adopt(best)
         self._leads = (None, 0)
         self._unnamed = 0
         self.competition.expect_back(
             [
-                replace(row, shift=-size, spread=0.2 * abs(size), lasting=0.0, slowly=0.0, price=-2.0)
-                for _, row, size in self._standing
+                replace(
+                    named.row,
+                    shift=-named.shift,
+                    spread=0.2 * abs(named.shift),
+                    lasting=0.0,
+                    slowly=0.0,
+                    price=-2.0,
+                )
+                for named in self._standing
             ]
         )
 
@@ -329,9 +363,9 @@ class ChannelMonitor:
         if self.on is not None:
             self._close()
         first = min(self._begin + best.born, self._index)
-        near = [f for f in suspects if f.evidence > max(0.0, best.evidence - LEAD)]
-        rivals = tuple(dict.fromkeys(self.sentences.called(f.cause) for f in near))
-        signal, size, reason = self.sentences.said(fault, best, self._left(best), rivals)
+        near = [suspect for suspect in suspects if suspect.evidence > max(0.0, best.evidence - LEAD)]
+        rivals = tuple(dict.fromkeys(self.sentences.called(suspect.cause) for suspect in near))
+        signal, size, reason = self.sentences.said(fault, best, self._share_left(best), rivals)
         self._alarms.append(
             ChannelAlarm(
                 fault,
@@ -343,14 +377,15 @@ class ChannelMonitor:
                 signal,
                 size=size,
                 rivals=rivals if fault is Fault.DRIFT else (),
-                found=tuple(suspects),
+                suspects=tuple(suspects),
             )
         )
 
-    def _left(self, f: Suspect) -> float:
+    def _share_left(self, suspect: Suspect) -> float:
         """What is left of a drive's effect, as a share; 1 for anything else."""
-        share = f.row.number.startswith("share ")
-        return max(1.0 + f.shift + self.competition.believed(f.row.number), 0.0) if share else 1.0
+        number = suspect.row.number
+        is_of_drive = number.startswith("share ")
+        return max(1.0 + suspect.shift + self.competition.believed(number), 0.0) if is_of_drive else 1.0
 
     def _close(self) -> None:
         self._alarms[-1] = replace(self._alarms[-1], last=self._index)

@@ -29,8 +29,8 @@ _EARNING: Final = _Earning()
 
 
 NOTHING: Final = 0.1
-"""Greatest share of an expected effect that counts as nothing. This a newcomer may say, too, over the longest
-of the times that are looked at."""
+"""Greatest share of an expected effect that counts as nothing. Over the longest of the times that are looked
+at, so small a share is evidence even before the judge has earned its record."""
 
 
 class Record(NamedTuple):
@@ -42,17 +42,17 @@ class Record(NamedTuple):
     """Of how far the output moved: the error of saying that nothing changes."""
 
     def after(self, error: float, moved: float, factor: float = 1.0) -> Record:
-        """The record with one more forecast; `factor` is that on past sums."""
+        """The record with one more forecast; the sums before it are multiplied by `factor`, which forgets."""
         return Record(factor * self.error + error**2, factor * self.moved + moved**2)
 
     def earned(self, noise: float) -> bool:
         """Whether these forecasts are a reason to believe the next; `noise` of a reading (1 σ)."""
-        return self._off_by(_EARNING.most, noise)
+        return self._were_within(_EARNING.most, noise)
 
     def sees_drive(self, noise: float) -> bool:
         """Whether they were so near that the missing effect of a drive would show."""
-        return self._off_by(_EARNING.most_missing, noise)
+        return self._were_within(_EARNING.most_missing, noise)
 
-    def _off_by(self, share: float, noise: float) -> bool:
+    def _were_within(self, share: float, noise: float) -> bool:
         """Whether they were off by at most a share of considerable movements."""
         return self.moved >= (_EARNING.moved * noise) ** 2 and self.error <= share**2 * self.moved

@@ -15,7 +15,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
 from twinmatch.health.faults import Fault
-from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
+from twinmatch.health.hypotheses import ChangeRow, PlacedFault, rows_of
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.sensors import LearnedSensor
@@ -44,7 +44,7 @@ _FOLLOWING: Final = _Following()
 
 
 _HOUR: Final = 3600.0
-_COUNTS: Final = math.log(0.01)
+_LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _INTERESTING: Final = -6.0
 """Evidence below which a cause is not looked at, nats."""
@@ -52,9 +52,9 @@ _INTERESTING: Final = -6.0
 
 @dataclass(frozen=True)
 class Suspect:
-    """What is said of one cause."""
+    """A cause that may explain the readings, and how well it does."""
 
-    cause: Named
+    cause: PlacedFault
     evidence: float
     """Nats beyond its price."""
     row: ChangeRow
@@ -63,7 +63,7 @@ class Suspect:
     error: float
     """Standard deviation of that size."""
     born: int
-    """Samples since the last gap when it began."""
+    """Sample at which it began, counted from the last gap."""
     hypothesis: int
     """Its place among the traces; −1: it has none."""
 
@@ -94,7 +94,7 @@ class Competition:
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
-        """Samples since."""
+        """Samples since the last gap."""
         self.healthy.restart()
         for sensor, rehearsal in zip(self.sensors, self._rehearsals, strict=True):
             sensor.restart()
@@ -147,7 +147,7 @@ class Competition:
         weights = {cause: self._weight_of(cause) for cause in self._causes}
         return [math.exp(-row.price) / weights[row.cause] / onsets for row in rows]
 
-    def _weight_of(self, cause: Named) -> float:
+    def _weight_of(self, cause: PlacedFault) -> float:
         """Sum of the weights of a cause's rows, which share its probability."""
         return sum(math.exp(-row.price) for row in self.rows if row.cause == cause)
 
@@ -204,7 +204,7 @@ class Competition:
             self._clear()
         weights = healthy.log_weights[: healthy.levels].copy()
         weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
-        spawn(self._traces, self.table, healthy.members.at, weights, _COUNTS, reach, self.count)
+        spawn(self._traces, self.table, healthy.members.at, weights, _LEAST_LOG_WEIGHT, reach, self.count)
 
     def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
@@ -214,29 +214,34 @@ class Competition:
             rehearsal.push(reading, float(variance[output]), output)
 
     def _without(self, output: int, since: int) -> ReadThrough:
+        """An estimate of an output that ascribes nothing to its sensor, by a filter from before `since`."""
         healthy = self.healthy
         band = self._rehearsals[output].band
         return ReadThrough(
             self._model, healthy.without(output, since), healthy.fixed, output, table=self.table, band=band
         )
 
-    def found(self) -> list[Suspect]:
+    def suspects(self) -> list[Suspect]:
         """Every cause with its evidence, the best first."""
-        dear = 2.0 * math.log(1.0 + self.known / _HOUR)
+        # The hour in which a change began has to be said, too: the longer a plant is known, the dearer.
+        price_of_hour = 2.0 * math.log(1.0 + self.known / _HOUR)
         healthy = self.healthy
         suspects = []
-        for c in np.flatnonzero(self._totals >= _INTERESTING + dear):
-            t = int(self._likeliest[c])
-            row = self.rows[t // _FOLLOWING.slots % len(self.rows)]
-            born = int(self._traces.born[t])
+        for cause in np.flatnonzero(self._totals >= _INTERESTING + price_of_hour):
+            trace = int(self._likeliest[cause])
+            row = self.rows[trace // _FOLLOWING.slots % len(self.rows)]
+            born = int(self._traces.born[trace])
             slowly = row.slowly * healthy.scale
+            # Of a ramp, the part that has come so far.
             share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
-            shift = float(self._traces.mean[t])
-            error = math.sqrt(self._traces.variance[t])
-            evidence = float(self._totals[c]) - dear
-            suspects.append(Suspect(self._causes[c], evidence, row, shift * share, error * share, born, t))
+            shift = float(self._traces.mean[trace])
+            error = math.sqrt(self._traces.variance[trace])
+            evidence = float(self._totals[cause]) - price_of_hour
+            suspects.append(
+                Suspect(self._causes[cause], evidence, row, shift * share, error * share, born, trace)
+            )
         for i, sensor in enumerate(self.sensors):
-            evidence = sensor.frozen - math.log(_HOUR * self.second) - dear
+            evidence = sensor.frozen - math.log(_HOUR * self.second) - price_of_hour
             if evidence >= _INTERESTING:
                 row = ChangeRow((Fault.SENSOR_FROZEN, i), "")
                 born = self.count - sensor.repeats
@@ -252,8 +257,11 @@ class Competition:
         return missed or self._rehearsals[output].missed(sensor.repeats, value)
 
     def read_through(self, output: int, since: int) -> None:
-        """Estimate an output without its sensor from now on, which has lied `since` so many samples after the
-        last gap: by the estimate that was rehearsed then, if there is one."""
+        """Estimate an output without its sensor from now on.
+
+        The sensor has lied since the sample `since`, counted from the last gap. An estimate that was
+        rehearsed before that is continued, if there is one.
+        """
         if output not in self.through:
             estimator = self._rehearsals[output].on
             if estimator is None or estimator.samples <= self.count - since:
@@ -297,5 +305,5 @@ class Competition:
         self._clear()
         self.healthy.forget_newest()
         for output, rehearsal in enumerate(self._rehearsals):
-            if suspect.cause != (Fault.SENSOR_DRIFT, output):  # it asks that sensor nothing
+            if suspect.cause != (Fault.SENSOR_DRIFT, output):  # its rehearsal does not use that sensor
                 rehearsal.drop()

@@ -75,7 +75,7 @@ class ErrorModel:
     share: float = _ERRORS.share**2
     """Variance of the error as a share of the movement."""
     seen: tuple[float, float] = _FIRST
-    """Stretches each of them is known from."""
+    """Number of stretches that each of the two is known from."""
     record: Record = field(default_factory=Record)
     """Of all stretches so far."""
 
@@ -114,7 +114,7 @@ class ErrorModel:
 
 
 class TrackedSample(NamedTuple):
-    """What is known of one sample."""
+    """A sample, and what was known of the plant and of the equations' errors then."""
 
     parameters: Parameters
     states: FloatArray
@@ -191,13 +191,14 @@ class SimulatedSpan:
         self._given = (inputs, rows)
         self._then = (later, period)
         levels = first.parameters.model.rest[0], before
-        (begun, self.works, held_on), (_, resting, _), (_, _, stood) = self._outputs(
+        (begun, self.driven, held_on), (_, resting, _), (_, _, stood) = self._outputs(
             first.parameters, *levels
         )
-        self.moved = self.works - begun
-        """How far the output moves until the last sample ends, where `works` is the output."""
-        self.effect = self.works - resting
-        """What the drive contributes to it."""
+        """The output when the last sample ends, under the recorded inputs."""
+        self.moved = self.driven - begun
+        """How far the output moves until then."""
+        self.effect = self.driven - resting
+        """What the drive contributes to that output."""
         self.changed = held_on - stood
         """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
@@ -212,7 +213,7 @@ class SimulatedSpan:
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
                 room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
-                moved = max(moved, abs(self._outputs(room)[0][1] - self.works))
+                moved = max(moved, abs(self._outputs(room)[0][1] - self.driven))
         return moved
 
     def _outputs(self, twin: Parameters, *levels: float) -> list[list[float]]:
@@ -276,7 +277,8 @@ _EFFECT: Final = _EffectRule()
 
 
 _MINUTE: Final = -2
-"""The place of the length of time of which all readings are compared with what else could explain them."""
+"""Place in `_SPANS` of the stretch whose readings are all compared with what else could explain them: a
+minute."""
 
 
 @dataclass(frozen=True)
@@ -451,8 +453,8 @@ class LaggedEffect(DriveEffect):
                 break
             if not past[first].settled:
                 continue
-            before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
-            stood = math.fsum(before) / len(before)
+            inputs_before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
+            stood = math.fsum(inputs_before) / len(inputs_before)
             stretch = SimulatedSpan(
                 past[first],
                 inputs[first:],
@@ -461,9 +463,10 @@ class LaggedEffect(DriveEffect):
                 period=self._period,
                 later=self._spans[0],
             )
-            error = output - stretch.works
+            error = output - stretch.driven
 
             def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
+                """The same stretch if inputs act so many samples later."""
                 places = np.maximum(np.arange(first, len(past)) - delay, 0)
                 return SimulatedSpan(
                     past[first],
@@ -496,35 +499,40 @@ class LaggedEffect(DriveEffect):
         if effect == 0.0:
             return
         share = 1.0 + error / effect
-        likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        accuses_drive = share < FOLLOWS[0]
+        usual_error = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
         if self.newcomer:
-            likely = max(likely, errors.mean)
-        least = max(_EFFECT.noises * self._noise, _EFFECT.errors * likely)
-        nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
-        sees = errors.record.sees_drive(self._noise)
-        if share < FOLLOWS[0] and not (nothing or sees):
+            usual_error = max(usual_error, errors.mean)
+        least_effect = max(_EFFECT.noises * self._noise, _EFFECT.errors * usual_error)
+        shows_nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
+        sees_drive = errors.record.sees_drive(self._noise)
+        if accuses_drive and not (shows_nothing or sees_drive):
             return
         missing = abs(error) if share < 1.0 else 0.0
-        counts = abs(effect) >= least
-        if len(stretch) >= self._spans[_EFFECT.long] and sees:
-            counts = counts or _EFFECT.missing * least <= missing <= _EFFECT.most_missing * abs(effect)
+        counts = abs(effect) >= least_effect
+        if len(stretch) >= self._spans[_EFFECT.long] and sees_drive:
+            least_missing = _EFFECT.missing * least_effect
+            counts = counts or least_missing <= missing <= _EFFECT.most_missing * abs(effect)
         if share >= self.share or not counts:
             return
         if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(_EFFECT.room_change):
-            return
-        if share < FOLLOWS[0] and any(
+            return  # a colder room may be what is missing
+        if accuses_drive and any(
             self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
         ):
+            return  # the input may act later
+        if accuses_drive and not self._frozen and self._has_rival():
             return
-        if share < FOLLOWS[0] and not self._frozen:
-            if not self._compared:
-                self.rival = self._better_cause()
-                self._compared = True
-            if self.rival is not None:
-                return
         self.share = share
         self.length = len(stretch)
         self.expected = effect
+
+    def _has_rival(self) -> bool:
+        """Whether something explains the newest readings far better than a lost drive; asked of them once."""
+        if not self._compared:
+            self.rival = self._better_cause()
+            self._compared = True
+        return self.rival is not None
 
     def _better_cause(self) -> Cause | None:
         """What explains the last minute far better than a drive that has lost its effect; None if nothing.
@@ -557,7 +565,7 @@ class LaggedEffect(DriveEffect):
     @staticmethod
     def _explains(stretch: SimulatedSpan, output: float, effect: float) -> bool:
         """Whether a later input leaves no effect missing: it acts, or cannot have acted enough yet."""
-        missing = (stretch.works - output) / stretch.effect if stretch.effect else 0.0
+        missing = (stretch.driven - output) / stretch.effect if stretch.effect else 0.0
         return stretch.effect / effect < FOLLOWS[0] or missing < 1.0 - FOLLOWS[0]
 
     @property

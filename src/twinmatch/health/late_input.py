@@ -53,7 +53,8 @@ _LATER_S: Final = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0)
 
 
 def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[FloatArray]:
-    """The newest `size` inputs as they act if they come late, or through a lag; `second`: its samples."""
+    """The newest `size` inputs as they act if they come late, or through a lag; `second` is the number of
+    samples in one."""
     first = inputs.size - size
     times = [late * second for late in _LATER_S if late * second >= 0.5]
     for delay in sorted({max(1, round(late)) for late in times}):
@@ -144,12 +145,12 @@ class LateInput:
                 self._taken = best
         self._gap = False
 
-    def _belief_before(self, place: int, output: float, entry: float, row: FloatArray) -> Belief:
-        """What is believed with a delay before a block that begins so; at first, and after a gap, little."""
+    def _belief_before(self, place: int, output: float, first_input: float, row: FloatArray) -> Belief:
+        """What is believed with the delay at a place before a block that begins with these values."""
         if len(self._beliefs) <= place:
-            return self._tracker.begin(output, entry, row, 0)
+            return self._tracker.begin(output, first_input, row, 0)
         if self._gap:
-            return self._tracker.again(self._beliefs[place], output, entry, row)
+            return self._tracker.again(self._beliefs[place], output, first_input, row)
         return self._beliefs[place]
 
     def _late(self, inputs: list[float], delay: int) -> FloatArray:

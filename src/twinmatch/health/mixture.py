@@ -24,16 +24,16 @@ from twinmatch.signals import BoolArray, FloatArray
 LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 """Sizes of the equations' error, in units of that of a real rig."""
 _WAYS: Final = ((0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0), (2.0, 5.0, 10.0))
-"""By how much later inputs may act, and lags behind which they may, s."""
-_UNSAID: Final = 0.7
+"""Ways in which inputs may act: delays, s, and time constants of lags, s."""
+_UNDECLARED: Final = 0.7
 """Standard deviation of the logarithm of a parameter without a typical value in the plant file: a factor of
 two. Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
-_SHARES: Final = (0.7, 0.28, 0.02)
-"""Prior of the levels, of other ways, and of no equations."""
+_PRIOR_SHARES: Final = (0.7, 0.28, 0.02)
+"""Prior probabilities of the levels together, of the other ways together, and of no equations."""
 
 
 @dataclass(frozen=True)
-class _Ways:
+class _Switching:
     """How healthy explanations replace one another."""
 
     switch: float = 600.0
@@ -42,7 +42,7 @@ class _Ways:
     """Nats by which inputs must act better in another way for it to be the usual one."""
 
 
-_WAY: Final = _Ways()
+_SWITCHING: Final = _Switching()
 
 
 AHEAD: Final = (1.0, 5.0, 15.0, 30.0, 60.0, 120.0)
@@ -132,7 +132,7 @@ class HealthyMixture:
         self.healthy = self.levels + self._ways  # after them, forecasts
         self._ahead = [max(1, round(ahead * self.second)) for ahead in AHEAD]
         self.members = _no_members(self.healthy, len(names), len(model.noise))
-        self._way = 0
+        self._way = 0  # place of the way in which inputs usually act
         self._fresh = True
         self.known = 0
         """Samples since the beginning."""
@@ -156,7 +156,7 @@ class HealthyMixture:
         keeps = np.ones(len(numbers))
         for name, logged in zip(model.structure.free, assumed.free.logged, strict=True):
             if logged and name not in model.plant.typical:
-                first[numbers[name]] = _UNSAID
+                first[numbers[name]] = _UNDECLARED
         for i in range(len(model.noise)):
             fading = numbers[f"fading {i}"]
             first[fading] = assumed.fading[i]
@@ -192,11 +192,12 @@ class HealthyMixture:
         self.members.alive[self.healthy :] = False
 
     def _prior(self) -> FloatArray:
-        """Of the healthy ones, and of no equations."""
-        prior = np.full(self.healthy + 1, _SHARES[1] / (self._ways - 1))
-        prior[: self.levels] = _SHARES[0] / self.levels
-        prior[self.levels + self._way] = 1e-12
-        prior[-1] = _SHARES[2]
+        """Prior probabilities of the healthy members, and of no equations; kept as the usual ones."""
+        of_levels, of_other_ways, of_no_equations = _PRIOR_SHARES
+        prior = np.full(self.healthy + 1, of_other_ways / (self._ways - 1))
+        prior[: self.levels] = of_levels / self.levels
+        prior[self.levels + self._way] = 1e-12  # the levels stand for the usual way
+        prior[-1] = of_no_equations
         self._usual = np.asarray(prior / prior.sum())
         return self._usual
 
@@ -244,7 +245,7 @@ class HealthyMixture:
 
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""
-        switch = self.period / (_WAY.switch * self.scale)
+        switch = self.period / (_SWITCHING.switch * self.scale)
         total = weigh(self.members.gained, self.members.alive, self.log_weights, self._usual, switch, walked)
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
@@ -316,27 +317,27 @@ class HealthyMixture:
             self._begun[free] = count
 
     def choose_way(self) -> bool:
-        """Have inputs act in another way from now on, if that is clearly better; whether it is."""
+        """Have inputs act in another way from now on if that is clearly better; returns whether they do."""
         log = self.log_weights
         levels = self.levels
         members = self.members
-        mine = float(np.logaddexp.reduce(log[:levels]))
+        log_weight_of_usual = float(np.logaddexp.reduce(log[:levels]))
         of_ways = log[levels : self.healthy]
         way = int(np.argmax(of_ways))
-        if of_ways[way] <= mine + _WAY.better:
+        if of_ways[way] <= log_weight_of_usual + _SWITCHING.better:
             return False
         scout = levels + way
         was = levels + self._way
-        better = float(of_ways[way])
+        log_weight_of_better = float(of_ways[way])
         for array in (members.at, members.covariance):
             array[was] = array[self.best]
             array[:levels] = array[scout]
         members.alive[was] = True
         members.alive[scout] = False
         members.way[:levels] = way
-        log[was] = mine
+        log[was] = log_weight_of_usual
         log[scout] = -50.0
-        log[:levels] = better - math.log(levels)
+        log[:levels] = log_weight_of_better - math.log(levels)
         self._way = way
         self._prior()
         return True

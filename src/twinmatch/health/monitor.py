@@ -59,6 +59,7 @@ _REPORTING: Final = _Reporting()
 
 
 _OF_THE_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
+"""Faults of which an effect of the drive that is missing is the trace."""
 _REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
 _KEPT: Final = 1000
 """Number of alarms kept: more than any window that is still matched can overlap."""
@@ -106,16 +107,17 @@ class Monitor:
         twin = settings.reference
         period = settings.period
         self._balance = Balance(twin, period)
-        late = is_lagged(twin, period)
-        self._late = LaggedEffect(twin, period) if late else None
+        lagged = is_lagged(twin, period)
+        self._lagged_effect = LaggedEffect(twin, period) if lagged else None
         """For a plant whose output the drive moves only after many samples."""
-        self._prompt = not late
+        self._acts_within_sample = not lagged
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
-        self._effect: DriveEffect = self._late or Effect(settings.pace, self._balance.noise)
-        self._slow = SlowChanges(settings, self._sentences, steps=late)
-        self._timing = LateInput(settings.followed, period) if late else None
+        self._effect: DriveEffect = self._lagged_effect or Effect(settings.pace, self._balance.noise)
+        self._slow = SlowChanges(settings, self._sentences, steps=lagged)
+        self._timing = LateInput(settings.followed, period) if lagged else None
         self._delay = 0
+        """How much later than the equations say inputs act, samples."""
 
     @property
     def estimates(self) -> tuple[EstimatedReading, ...]:
@@ -133,11 +135,12 @@ class Monitor:
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
-        last = self._newest
+        previous = self._newest
         self._newest = sample
-        if last is None or sample.index != last.index + 1 or stamps_apart(last, sample, self.settings.period):
+        if self._is_behind_gap(previous, sample):
             self._restart(sample.index)
-        elif not sample.follows(last):  # readings were refused for long, and may be off from now on
+        elif previous is not None and not sample.follows(previous):
+            # Readings were refused for long, and may be off from now on.
             self._before = None
             self._restart_traces()
             self._slow.restart(offset=True)
@@ -161,14 +164,20 @@ class Monitor:
         news = self._judge(sample.index, evidence, starting)
         return self._health(sample.index, evidence, starting, news)
 
+    def _is_behind_gap(self, previous: Sample | None, sample: Sample) -> bool:
+        """Whether a sample begins a run: the first, or one behind a gap in the indices or in the stamps."""
+        if previous is None or sample.index != previous.index + 1:
+            return True
+        return stamps_apart(previous, sample, self.settings.period)
+
     def _take(self, parameters: Parameters) -> None:
         """Begin with the first parameters of a plant that its file does not describe; try later ones."""
         if not self._known:
             self._known = True
             self._begin_with(replace(self.settings, reference=parameters))
             return
-        if self._late is not None:
-            self._late.take(parameters)
+        if self._lagged_effect is not None:
+            self._lagged_effect.take(parameters)
         if not self.settings.reference.model.plant.typical:
             self._slow.propose(parameters)
 
@@ -192,7 +201,7 @@ class Monitor:
 
     @property
     def _blind(self) -> bool:
-        """Whether nothing can be learned about the plant now."""
+        """Whether the fault that is on lets nothing be learned about the plant."""
         return self._open and self._alarms[-1].spoils and TRAITS[self._alarms[-1].fault].blinds
 
     def _restart(self, index: int) -> None:
@@ -220,13 +229,13 @@ class Monitor:
         self._contrary = self._feeble = 0
 
     def _try(self) -> None:
-        """Switch to the given parameters if the balance is rough and theirs is smoother."""
+        """Switch to the balance of the given parameters if it is smoother than this one, which is rough."""
         self._until_trial -= 1
         if self._given is None or self._until_trial >= 0 or not self._balance.rough:
             return
         self._until_trial = TRIAL
         better = self._balance.better_of(self._given)
-        if better is not self._balance and self._late is None:
+        if better is not self._balance and self._lagged_effect is None:
             self._restart_traces()  # sums of another balance say nothing beside the errors of this one
         self._balance = better
 
@@ -244,17 +253,17 @@ class Monitor:
         stood = self._repeats.stands
         after = movement
         acting = self._acting(sample)
-        if self._late is not None:
-            self._late.newcomer = not self._slow.compares
-            self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
-            after = self._late.push(sample, self._slow.offset)
-        error = self._balance.roughness * self.settings.pace if self._prompt else 0.0
+        if self._lagged_effect is not None:
+            self._lagged_effect.newcomer = not self._slow.compares
+            self._lagged_effect.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
+            after = self._lagged_effect.push(sample, self._slow.offset)
+        error = self._balance.roughness * self.settings.pace if self._acts_within_sample else 0.0
         self._repeats.push(sample.output - before.output, after, inward, error, earned=self._predictor.earned)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
-        if self._prompt and isinstance(self._effect, Effect):
+        if self._acts_within_sample and isinstance(self._effect, Effect):
             rough = min(self._balance.roughness, self._balance.at_rest)  # a lost drive makes it rough, too
             self._effect.push(movement, rough, earned=self._balance.sees_drive)
         self._learn()
@@ -264,9 +273,9 @@ class Monitor:
     @property
     def _predictor(self) -> Balance | LaggedEffect | SlowChanges:
         """The one that sees best how the plant moves."""
-        if self._late is not None and self.settings.reference.model.plant.loop is not None:
-            return self._late
-        return self._balance if self._prompt else self._slow
+        if self._lagged_effect is not None and self.settings.reference.model.plant.loop is not None:
+            return self._lagged_effect
+        return self._balance if self._acts_within_sample else self._slow
 
     def _acting(self, sample: Sample) -> Sample:
         """The sample with the input that acts now, if inputs act later than the equations say."""
@@ -274,33 +283,41 @@ class Monitor:
             return sample
         faulty = self._contrary > 0 or self._blind
         self._timing.push(sample, learn=not faulty)
-        if self._late is not None:
-            self._late.delays = self._timing.credible
+        if self._lagged_effect is not None:
+            self._lagged_effect.delays = self._timing.credible
         if self._timing.delay != self._delay:
             self._delay = self._timing.delay
             self._slow.forget()
         return replace(sample, inputs=(self._timing.input,)) if self._delay else sample
 
     def _weigh(self, sample: Sample) -> Evidence | None:
+        """The worst evidence of all traces: a frozen sensor, a missing effect of the drive, a slow change."""
         if self._repeats.stands:
             return self._sentences.frozen(sample, self._repeats)
         # What looks weak may be a twin that expects too much, so the balance must have been good.
-        smooth = self._balance.smooth and self._late is None
+        smooth = self._balance.smooth and self._lagged_effect is None
         least = self.settings.weak if smooth else self.settings.lost
         if self._effect.share < least and not self._repeats.unusual:
             return self._effect_missing(sample.index)
         self._contrary = self._feeble = 0
-        slow = self._slow.evidence
-        stood = self._repeats.count
-        stands = self._late is not None and self._late.rival is Cause.FROZEN
-        stands = stands and not (slow is not None and sample.index - slow.first > stood)
-        if stands and stood * self.settings.pace >= _REPORTING.stood:
+        if self._frozen_rather_than_lost(sample.index):
             return self._sentences.frozen(sample, self._repeats)
-        if slow is not None and 0 < sample.index - slow.first <= stood:
+        slow = self._slow.evidence
+        if slow is not None and 0 < sample.index - slow.first <= self._repeats.count:
             return slow._replace(sure=False)  # no reading has changed since: the sensor may be frozen
         if slow is not None and slow.fault is Fault.DRIVE_LOST and self._effect.follows:
             return slow._replace(sure=False)
         return slow
+
+    def _frozen_rather_than_lost(self, index: int) -> bool:
+        """Whether a reading that has stood for long explains a missing effect better than a lost drive."""
+        if self._lagged_effect is None or self._lagged_effect.rival is not Cause.FROZEN:
+            return False
+        slow = self._slow.evidence
+        stood = self._repeats.count
+        if slow is not None and index - slow.first > stood:
+            return False  # a change that began before the reading stood explains it, too
+        return stood * self.settings.pace >= _REPORTING.stood
 
     def _track(self, sample: Sample) -> None:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""
@@ -314,20 +331,21 @@ class Monitor:
         lost = self._effect.share < self.settings.lost
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
-        lag = self._lag.seconds(self._effect.length) if self._late is None else None
+        lag = self._lag.seconds(self._effect.length) if self._lagged_effect is None else None
         if lag is not None:
             lag *= self.settings.period / self.settings.pace
         sure = self._contrary >= _REPORTING.confirm
-        if self._prompt and not self._balance.earned:  # it may not know how late this plant follows
+        if self._acts_within_sample and not self._balance.earned:
+            # A balance that has not predicted this plant may not know how late it follows.
             sure = sure and (self._contrary + self._effect.length) * self.settings.pace >= _REPORTING.shows
         if lag is not None:
             return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.pace >= _REPORTING.weakly
         if lost and (sure or not weakly):
-            both = self._both
-            lagged = both or (self._late is not None and not self._slow.compares)
+            losses_may_explain = self._losses_may_explain
+            lagged = losses_may_explain or (self._lagged_effect is not None and not self._slow.compares)
             missing = self._sentences.lost(index, self._effect, sure=sure, lagged=lagged)
-            if not both:
+            if not losses_may_explain:
                 return missing
             named = self._slow.evidence
             if named is not None and named.sure and named.fault is not Fault.DRIFT:
@@ -336,9 +354,9 @@ class Monitor:
         return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
 
     @property
-    def _both(self) -> bool:
+    def _losses_may_explain(self) -> bool:
         """Whether larger losses may explain a missing effect as well: behind a lag, they do for a minute."""
-        is_comparable = self._late is not None and not self._blind and self._slow.compares
+        is_comparable = self._lagged_effect is not None and not self._blind and self._slow.compares
         if not is_comparable or self._slow.blames_drive:
             return False
         lasts = self._index - self._alarms[-1].flagged if self._unsettled else 0
@@ -363,8 +381,9 @@ class Monitor:
 
     def _judge(self, index: int, evidence: Evidence | None, starting: bool) -> Alarm | None:
         """Open and close alarms; return the one that changed."""
-        few = evidence is not None and evidence.fault is _REFUSED and self._before is not None
-        if evidence is not None and not evidence.slow and not few:
+        # A refused reading that was replaced interrupts nothing: the sample remains usable.
+        is_replaced = evidence is not None and evidence.fault is _REFUSED and self._before is not None
+        if evidence is not None and not evidence.slow and not is_replaced:
             self._quiet = self._proofs = 0
         else:
             self._quiet += 1
@@ -374,7 +393,7 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._recovered():
-            if self._alarms[-1].fault in _OF_THE_DRIVE and self._prompt and not self._slow_alarm:
+            if self._alarms[-1].fault in _OF_THE_DRIVE and self._acts_within_sample and not self._slow_alarm:
                 self._restart_traces()  # stretches that reach back into the fault show it still
                 self._slow.restart()
             if self._brief:
@@ -383,6 +402,7 @@ class Monitor:
         return None
 
     def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
+        """Open an alarm, in place of the one that is on if this fault may replace it; None if it may not."""
         earliest = self._begin
         # A trace reaches back over a few refused readings.
         ended = [a.last for a in self._alarms if a.last is not None and a.alters]
@@ -426,7 +446,7 @@ class Monitor:
         self._slow_alarm = evidence.slow
         self._balance.forget_newest()
         self._slow.propose(None)
-        if evidence.fault is Fault.DISTURBANCE and not self._prompt:
+        if evidence.fault is Fault.DISTURBANCE and not self._acts_within_sample:
             self._restart_traces()  # stretches that reach back into it lack an effect
         if evidence.fault in _OF_THE_DRIVE and isinstance(self._effect, Effect):
             self._effect.accuse()
@@ -442,7 +462,7 @@ class Monitor:
         proven = self._proofs * self.settings.pace
         if self._slow_alarm:
             return self._slow.over(self._index)
-        if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
+        if fault in _OF_THE_DRIVE and self._acts_within_sample and isinstance(self._effect, Effect):
             return self._effect.returned >= _REPORTING.over
         if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE, Fault.DRIFT):
             suspected = fault is Fault.DRIFT and self._slow.suspected
@@ -452,6 +472,7 @@ class Monitor:
         return quiet >= _REPORTING.recovered
 
     def _close(self, last: int) -> Alarm:
+        """End the alarm that is on, whose trace had this last sample."""
         self._alarms[-1] = replace(self._alarms[-1], last=last)
         self._open = False
         return self._alarms[-1]
@@ -469,8 +490,8 @@ class Monitor:
         if evidence is None:
             return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.
-        short = evidence.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
-        fault = None if starting and short else evidence.fault
+        may_be_camera = starting and evidence.fault in _OF_THE_DRIVE
+        fault = None if may_be_camera else evidence.fault
         reason = f"during start-up: {evidence.reason}" if starting else evidence.reason
         first = max(evidence.first, self._begin)
         return Health(index, HealthState.SUSPECT, fault, first, reason, share, rate, news)

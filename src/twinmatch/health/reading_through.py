@@ -61,10 +61,10 @@ class ReadThrough:
         self._fixed = fixed
         self._output = output
         self._table = table
-        self._alone = members
+        self._member = members
         self._band = band
-        self._none = unborn(0, members.at.shape[1])
-        self._given: Reading | None = None
+        self._no_traces = unborn(0, members.at.shape[1])
+        self._newest: Reading | None = None
         self._noise = 0.0
         self.samples = self.rehearsed = 0
         """Samples since it began, and those of them at which it was not needed yet."""
@@ -75,17 +75,17 @@ class ReadThrough:
 
     def push(self, reading: Reading, variance: float) -> None:
         """Take a sample in which this sensor does not count; `variance` is that of its noise."""
-        self._given = reading
+        self._newest = reading
         self._noise = variance
         self.samples = self.samples + 1
-        step(self._code, self._fixed, self._alone, self._none, self._table, 1, reading, 0)
-        self.estimate = self._seen_in(self._alone, self.samples)
+        step(self._code, self._fixed, self._member, self._no_traces, self._table, 1, reading, 0)
+        self.estimate = self._seen_in(self._member, self.samples)
 
     def lasts(self, wide: float, longest: int) -> int:
         """For how many samples, at most `longest`, the band stays narrower than ± `wide` under these inputs,
         if the other sensors read what is expected."""
-        members = BankMembers(*(array.copy() for array in self._alone))
-        reading = self._given
+        members = BankMembers(*(array.copy() for array in self._member))
+        reading = self._newest
         if reading is None:
             return 0
         quiet = np.zeros_like(reading.repeated)
@@ -93,7 +93,7 @@ class ReadThrough:
             if self._seen_in(members, self.samples + k).band > wide:
                 return k
             reading = reading._replace(y=members.expected[0].copy(), repeated=quiet)
-            step(self._code, self._fixed, members, self._none, self._table, 1, reading, 0)
+            step(self._code, self._fixed, members, self._no_traces, self._table, 1, reading, 0)
         return longest
 
     def _seen_in(self, members: BankMembers, age: int) -> MissingReading:

@@ -61,7 +61,7 @@ class Effects:
     dead: FloatArray
     """Paths of a drive at rest minus the expected one, a row per onset that is tried, shape (k, N)."""
     pushed: FloatArray
-    """The same of a push, of which the size is unknown, shape (k, N)."""
+    """Paths under a push minus the expected one, a row per onset; its size is unknown, shape (k, N)."""
     shifted: FloatArray
     """Readings shifted by one unit, a row per onset, shape (n, N)."""
     frozen: FloatArray
@@ -93,10 +93,10 @@ def effects_of_causes(
         PlantError: the equations have no solution there.
     """
 
-    def moved(commands: FloatArray) -> FloatArray:
+    def output_under(commands: FloatArray) -> FloatArray:
         return simulate_driven(twin, commands, states=states, period=period, disturbances=rows).output
 
-    expected = moved(inputs)
+    expected = output_under(inputs)
     missed = readings - expected
     drive = twin.model.plant.drive
     low, high = drive.limits
@@ -105,17 +105,19 @@ def effects_of_causes(
     onsets = np.arange(2, inputs.size - 2)
     after = places >= onsets[:, None]
 
-    def more(changed: FloatArray | float) -> FloatArray:
+    def departures_under(changed: FloatArray | float) -> FloatArray:
         """How far the output leaves the expected path if the drive gets another input from an onset on."""
         runs = [
-            moved(np.where(places >= onset, changed, inputs)) for onset in onsets if onset % _TRIED.every == 0
+            output_under(np.where(places >= onset, changed, inputs))
+            for onset in onsets
+            if onset % _TRIED.every == 0
         ]
         return np.array(runs) - expected
 
     return Effects(
         missed,
-        dead=more(drive.rest),
-        pushed=more(inputs + push),
+        dead=departures_under(drive.rest),
+        pushed=departures_under(inputs + push),
         shifted=after.astype(np.float64),
         frozen=np.where(after, readings - readings[onsets - 1][:, None], missed),
         noise=twin.model.plant.output.noise,

@@ -24,24 +24,28 @@ class LearnedSensor:
         self._span = span[1] - span[0]
         self._second = second
         self.noise = noise
+        """Standard deviation of a reading."""
         self.step = 0.1 * noise
-        """Standard deviation, and the last digit."""
-        self._rough = noise * _SECOND
-        self._walk = 2.0 * noise
-        self._smallest = math.inf
-        self._moves = 0
-        self._pauses = [[1.0, 50.0], [2.0, 4.0]]  # repeats and readings, after a new one and after a repeat
+        """Value of its last digit."""
+        self._rough = noise * _SECOND  # mean size of second differences
+        self._walk = 2.0 * noise  # how far readings usually move in a sample
+        self._smallest = math.inf  # movement so far
+        self._moves = 0  # movements so far
+        # Counts of repeats and of readings: after a new reading, and after a repeat.
+        self._pauses = [[1.0, 50.0], [2.0, 4.0]]
         self.restart()
 
     def restart(self) -> None:
         """Begin again after a gap, keeping what was learned."""
-        self._before = self._earlier = self._anchor = math.nan
+        self._before = self._earlier = math.nan  # the reading before, and the one before that
+        self._anchor = math.nan  # the reading before an outlier
         self._counted = self._pauses[0]
         self.repeated = False
         """Whether the reading is the one before."""
         self.repeats = 0
+        """Repeats in a row."""
         self.frozen = 0.0
-        """How often in a row, and what that says for a frozen sensor, nats."""
+        """What they say for a frozen sensor, nats."""
 
     @property
     def variance(self) -> float:

@@ -34,8 +34,8 @@ class _SlowReports:
     moved: float = 10.0
     """What has passed is reported if it moved the output by so many standard deviations of its noise."""
     clearly: float = 2.0
-    """By how much another cause must explain more to exclude shifted readings, in what a name must lead
-    by."""
+    """Lead of another cause over shifted readings that excludes them, as a multiple of the lead that a name
+    needs."""
 
 
 _REPORTS: Final = _SlowReports()
@@ -51,7 +51,7 @@ class _SlowEnds:
     remainder: float = 0.4
     """Share of a change that may remain when it counts as over."""
     grown: float = 2.0
-    """By what a doubted shift may have grown until the readings come back."""
+    """Greatest factor by which a doubted shift may have grown until the readings come back."""
     doubted: float = 15.0
     """Least shift of readings that are doubted, in standard deviations of their noise."""
 
@@ -61,12 +61,16 @@ _ENDS: Final = _SlowEnds()
 
 @dataclass
 class _Reported:
+    """The change that was reported last."""
+
     fault: Fault
     hypothesis: Hypothesis
     before: float
+    """Value of the number before the change."""
     at: int
+    """Sample at which it was reported."""
     beliefs: Sequence[Belief]
-    """Before it, at every level."""
+    """What was believed before the change, at every level."""
 
 
 @dataclass
@@ -78,11 +82,19 @@ class _Shift:
     since: int
     """Sample at which it was first believed."""
     before: float = 0.0
-    """Offset before."""
+    """The believed offset of the readings before the shift."""
     named: bool = False
     """Whether it was reported by name: then the tracker follows it."""
     open: bool = True
     """Whether the comparison in which it came up continues."""
+
+
+def _changes_the_same(reported: _Reported, hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis is about the number of the reported change, so that it may be its end or
+    growth."""
+    if reported.fault is Fault.DRIFT and hypothesis.fault is Fault.SENSOR_DRIFT:
+        return False  # what was reported without a name has one now
+    return reported.hypothesis.index == hypothesis.index
 
 
 class SlowChanges:
@@ -100,11 +112,11 @@ class SlowChanges:
         self._reported: _Reported | None = None
         self._shift: _Shift | None = None
         self._likely = 0  # comparisons in a row in which the readings may have shifted
-        self._over = False
+        self._over = False  # whether the reported change is reversed
         self.evidence: Evidence | None = None
         """The current evidence, if any."""
-        self._running = 0
-        self._unnamed_since: int | None = None
+        self._agreeing = 0  # comparisons in a row that found this kind of change
+        self._unnamed_since: int | None = None  # sample from which on a name has been waited for
 
     @property
     def reported(self) -> Fault | None:
@@ -217,15 +229,15 @@ class SlowChanges:
             self._try(self._trial, sample)
         if change is None:
             if not self._detector.suspected:
-                self._over = self._over or self._no_longer_there
+                self._over = self._over or self._ends_with_suspicion
                 self._leave_doubt(lasting=self._lasted(sample.index))
                 self._clear_suspicion()
             return
         fault = change.hypothesis.fault
-        self._running = self._running + 1 if self._change and self._change.hypothesis.fault is fault else 1
+        self._agreeing = self._agreeing + 1 if self._change and self._change.hypothesis.fault is fault else 1
         self._change = change
         self._doubt_readings(change, sample.index)
-        if not self._settled(change, sample.index):
+        if not self._needs_no_report(change, sample.index):
             self.evidence = self._evidence(change, sample.index)
 
     def _begin_trial(self) -> None:
@@ -257,8 +269,8 @@ class SlowChanges:
         behind = change.behind(Fault.SENSOR_DRIFT)
         least = _ENDS.doubted * settings.followed.model.plant.output.noise
         near = behind <= _REPORTS.clearly * settings.lead and abs(change.off) >= least
-        sure = change.gain - behind >= settings.change and change.begun and self.earned
-        sure = sure and self._separable(change)
+        is_evident = change.gain - behind >= settings.change and change.begun and self.earned
+        sure = is_evident and self._separable(change)
         if shift is None:
             self._likely = self._likely + 1 if near and sure else 0
             if self._likely >= _REPORTS.agreeing:
@@ -305,17 +317,18 @@ class SlowChanges:
     def _clear_suspicion(self) -> None:
         self.evidence = None
         self._change = None
-        self._running = 0
+        self._agreeing = 0
         self._unnamed_since = None
 
     @property
-    def _no_longer_there(self) -> bool:
-        """Whether what was reported is over once nothing is suspected: no number of it returns."""
+    def _ends_with_suspicion(self) -> bool:
+        """Whether the reported change is over once nothing is suspected, as it has no number that could
+        return."""
         return self._reported is not None and self._reported.fault in (Fault.DRIFT, Fault.DISTURBANCE)
 
-    def _settled(self, change: DetectedChange, index: int) -> bool:
+    def _needs_no_report(self, change: DetectedChange, index: int) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
-        if change.gain < self._settings.change or self._running < _REPORTS.agreeing:
+        if change.gain < self._settings.change or self._agreeing < _REPORTS.agreeing:
             return False
         returned = self._is_return(change)
         if returned:
@@ -327,10 +340,7 @@ class SlowChanges:
         h = change.hypothesis
         if h.fault is Fault.DISTURBANCE:
             return self._absorbed(change)
-        is_same = reported is not None and reported.hypothesis.index == h.index
-        is_same = is_same and not (
-            self.reported is Fault.DRIFT and h.fault is Fault.SENSOR_DRIFT
-        )  # now it has a name
+        is_same = reported is not None and _changes_the_same(reported, h)
         if not is_same and h.parameter:
             return False
         usual = reported.before if reported is not None and is_same else 0.0
@@ -366,7 +376,7 @@ class SlowChanges:
     def _surely_passed(self, change: DetectedChange) -> bool:
         """Whether something that has passed explains far more than anything that would have lasted."""
         clearly = change.gain >= self._enough_unnamed
-        return clearly and change.lead >= self._settings.lead and self._running >= _REPORTS.agreeing
+        return clearly and change.lead >= self._settings.lead and self._agreeing >= _REPORTS.agreeing
 
     @property
     def _enough_unnamed(self) -> float:
@@ -389,19 +399,11 @@ class SlowChanges:
         """The evidence for a change."""
         h = change.hypothesis
         settings = self._settings
-        enough = self._running >= _REPORTS.agreeing and change.gain >= settings.change and change.begun
-        enough = enough and self.earned
+        enough = self._is_evident(change)
         material = abs(change.shift) >= h.least
-        named = change.lead >= settings.lead and h.fault is not Fault.DRIFT
-        named = named and (not h.vague or h.ceases)
-        if h.fault is Fault.DRIVE_WEAK and not (
-            change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0
-        ):
-            named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
-        if h.fault is Fault.DRIVE_LOST and named:
+        named = self._has_name(change)
+        if named and h.fault is Fault.DRIVE_LOST:
             return Evidence(Fault.DRIVE_LOST, enough, change.first, self._describe(change))
-        if h.fault is Fault.SENSOR_DRIFT and not self._separable(change):
-            named = False
         if named and h.fault is Fault.DISTURBANCE:
             has_passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
@@ -418,6 +420,24 @@ class SlowChanges:
         )
         sure = enough and material and waited and change.gain >= self._enough_unnamed
         return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
+
+    def _is_evident(self, change: DetectedChange) -> bool:
+        """Whether there is enough evidence that something has changed, whatever it is."""
+        if self._agreeing < _REPORTS.agreeing or change.gain < self._settings.change:
+            return False
+        return change.begun and self.earned
+
+    def _has_name(self, change: DetectedChange) -> bool:
+        """Whether the cause that explains a change best may be named."""
+        h = change.hypothesis
+        if change.lead < self._settings.lead or h.fault is Fault.DRIFT:
+            return False
+        if h.vague and not h.ceases:
+            return False  # it stands for anything that acts like it
+        if h.fault is Fault.DRIVE_WEAK:
+            # A lost drive is found by `Effect`, and one that does more has no fault name.
+            return change.shift < 0.0 and self._settings.lost - 1.0 <= change.value < 0.0
+        return h.fault is not Fault.SENSOR_DRIFT or self._separable(change)
 
     def _separable(self, change: DetectedChange) -> bool:
         """Whether shifted readings have a rival; changed surroundings, if not modelled, look the same."""

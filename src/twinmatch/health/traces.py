@@ -20,7 +20,7 @@ _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 
 
 @dataclass(frozen=True)
-class _DriveEffect:
+class _EffectRule:
     """Which movements of the drive are compared with the readings."""
 
     least: float = 15.0
@@ -41,7 +41,7 @@ class _DriveEffect:
     """Unexplained movement in the same direction just before that makes a step part of a movement."""
 
 
-_DRIVE: Final = _DriveEffect()
+_EFFECT: Final = _EffectRule()
 
 
 FOLLOWS: Final = (0.6, 2.5)
@@ -126,20 +126,23 @@ class Effect(DriveEffect):
         """Forget what was pushed."""
         super().restart()
         self.returned = 0.0
-        """Log-likelihood ratio of the whole effect to the share reported, nats, since it was least."""
+        """Nats by which the whole effect has explained the movements better than the share that was reported.
+
+        They are counted from the moment at which they were least.
+        """
         self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
         self._last = 0.0
 
     def push(self, movement: Movement, roughness: float, *, earned: bool) -> None:
         """Take the movement of one period, the roughness (per second) of the balance that it comes from, and
         whether that balance has predicted the plant."""
-        least = max(_DRIVE.rate * self._noise, _DRIVE.roughness * roughness) * self._period
+        least = max(_EFFECT.rate * self._noise, _EFFECT.roughness * roughness) * self._period
         unexplained = movement.unexplained
         if self._accused is not None:
-            usual = max(roughness, _DRIVE.rough_rate * self._noise) * self._period
+            usual = max(roughness, _EFFECT.rough_rate * self._noise) * self._period
             self._weigh(movement, usual, self._accused)
-        continues = abs(self._last) > _DRIVE.like * self._noise and unexplained * self._last > 0
-        isolated = abs(unexplained) > _DRIVE.step * self._noise and not continues
+        continues = abs(self._last) > _EFFECT.like * self._noise and unexplained * self._last > 0
+        isolated = abs(unexplained) > _EFFECT.step * self._noise and not continues
         self._last = unexplained
         drive, unexplained_sum = self._sums[-1]
         self._sums.append((drive + movement.drive, unexplained_sum + (0.0 if isolated else unexplained)))
@@ -151,7 +154,7 @@ class Effect(DriveEffect):
                 break
             before = self._sums[moves - length]
             expected = newest[0] - before[0]
-            if abs(expected) < _DRIVE.least * self._noise + least * length:
+            if abs(expected) < _EFFECT.least * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - before[1]) / expected
             counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
@@ -163,11 +166,11 @@ class Effect(DriveEffect):
     def _weigh(self, movement: Movement, usual: float, share: float) -> None:
         """Weigh a movement, whose usual error is `usual` and lasts for several samples, against a share."""
         drive = movement.drive
-        usual = math.hypot(usual, _DRIVE.error_share * movement.drive)
+        usual = math.hypot(usual, _EFFECT.error_share * movement.drive)
         most = 1.5 * abs(drive) + 3.0 * usual
         unexplained = min(max(movement.unexplained, -most), most)
         missing = unexplained + (1.0 - share) * drive
-        ratio = 0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _DRIVE.errors_last, 1.0)
+        ratio = 0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _EFFECT.errors_last, 1.0)
         self.returned = max(self.returned + ratio, 0.0)
 
 
@@ -252,14 +255,19 @@ class Repeats:
             return False
         if self._inward:
             return self.expected * self._inward > _REPEATS.moved * self._noise
+        if abs(self.expected) > _REPEATS.moved * self._noise + self._error:
+            return True
         chance = max(self._often, self._lately, 0.02) ** self.count
-        noisy = self._moves >= _REPEATS.least_moves and self._change >= _REPEATS.least_noise * self._noise
-        # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
-        noisy = noisy and not self._coarse and self._jitter >= _REPEATS.steps * self._step
-        noisy = noisy and self.count >= _REPEATS.longer * self._longest
-        return abs(self.expected) > _REPEATS.moved * self._noise + self._error or (
-            noisy and chance < _REPEATS.chance
-        )
+        return self._lacks_noise and chance < _REPEATS.chance
+
+    @property
+    def _lacks_noise(self) -> bool:
+        """Whether the reading has shown noise, and now repeats itself more often than it ever has."""
+        if self._moves < _REPEATS.least_moves or self._change < _REPEATS.least_noise * self._noise:
+            return False
+        if self._coarse or self._jitter < _REPEATS.steps * self._step:
+            return False  # its noise is smaller than its last digit: it repeats whenever the plant is at rest
+        return self.count >= _REPEATS.longer * self._longest
 
 
 class Lag:
@@ -273,9 +281,8 @@ class Lag:
 
     def restart(self) -> None:
         """Forget what was pushed."""
-        self._past: deque[tuple[float, float]] = deque(
-            maxlen=self._size
-        )  # observed and expected effect of the drive
+        # The observed and the expected effect of the drive, sample by sample.
+        self._past: deque[tuple[float, float]] = deque(maxlen=self._size)
 
     def push(self, movement: Movement) -> None:
         """Take the movement of one period."""
@@ -292,9 +299,14 @@ class Lag:
         kernel = np.ones(self._sum)
         movements = np.convolve(movements, kernel, "valid")[-size:]
         drive = np.convolve(drive, kernel, "valid")[-size - most :]
-        late = [float(np.sum((movements - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
-        best = int(np.argmin(late))
-        dead = float(np.sum(movements**2))
-        if not _LAG.least / self._period <= best < most or late[best] > _LAG.far_better * min(late[0], dead):
+        squares_left = []
+        for lag in range(most + 1):
+            lagging = drive[most - lag : drive.size - lag]
+            squares_left.append(float(np.sum((movements - lagging) ** 2)))
+        best = int(np.argmin(squares_left))
+        left_by_dead_drive = float(np.sum(movements**2))
+        if not _LAG.least / self._period <= best < most:
+            return None
+        if squares_left[best] > _LAG.far_better * min(squares_left[0], left_by_dead_drive):
             return None
         return best * self._period

@@ -59,7 +59,9 @@ class Block:
     """Index of its first sample."""
     stretch: Readings
     before: tuple[Belief, ...]
+    """What was believed before it, at each level."""
     costs: tuple[float, ...]
+    """Code length of its readings at each level, nats."""
 
 
 class TrackedBlocks:
@@ -72,7 +74,7 @@ class TrackedBlocks:
         """Samples of a block."""
         self.tracker = Tracker(parameters, period, LEVELS)
         self.blocks: deque[Block] = deque(maxlen=REACH)
-        """The last ones, oldest first."""
+        """The newest blocks, oldest first."""
         self.count = 0
         """Blocks so far."""
         self.known = 0
@@ -85,15 +87,15 @@ class TrackedBlocks:
         """Whether the equations explain too little of the plant to detect a change."""
         self.moved_level = False
         """Whether the last block changed the level."""
-        self._rough = self._noise * _SECOND
-        self._costs = np.zeros(len(LEVELS))
-        self._counted = 0
-        self._behind = [0.0] * len(LEVELS)
+        self._rough = self._noise * _SECOND  # mean size of second differences of readings
+        self._costs = np.zeros(len(LEVELS))  # mean code length of a block at each level
+        self._counted = 0  # blocks that these are means of
+        self._behind = [0.0] * len(LEVELS)  # nats by which each level is behind the next
         self._beliefs: tuple[Belief, ...] = ()
-        self._gap = False
+        self._gap = False  # whether samples are missing before the next block
         self._opening: tuple[int, float] | None = None
         self._samples: list[Sample] = []
-        self._last = [math.nan, math.nan]
+        self._last = [math.nan, math.nan]  # the two readings before the block
 
     @property
     def trust(self) -> float:
@@ -124,8 +126,12 @@ class TrackedBlocks:
         self._opening = opening or self._opening
 
     def adopt(self, belief: Belief, before: Sequence[Belief] = ()) -> None:
-        """Continue from another belief at every level, of a plant that is what it was `before`, if given."""
-        self._beliefs = tuple(self.tracker.returned(belief, b) for b in before) or (belief,) * len(LEVELS)
+        """Continue from another belief at every level.
+
+        With beliefs `before`, one for each level, the plant is again what it was then.
+        """
+        returned = tuple(self.tracker.returned(belief, belief_before) for belief_before in before)
+        self._beliefs = returned or (belief,) * len(LEVELS)
         self.blocks.clear()
 
     def full(self, sample: Sample) -> Readings | None:

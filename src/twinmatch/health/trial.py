@@ -28,19 +28,20 @@ class TwinOnTrial:
         self.detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._other = against.tracked
         self._until = against.tracked.count + _LONGEST
-        self._begun = self._lead = 0.0
+        self._lead_before = 0.0  # nats that it was ahead before it could compare causes
+        self._lead = 0.0  # nats by which it has been better since
 
     def push(self, sample: Sample) -> None:
         """Take a sample that the other has taken."""
         self.detector.push(sample)
         lead = self._other.spent - self.detector.tracked.spent
         if not self.detector.compares:
-            self._begun = lead
-        self._lead = lead - self._begun
+            self._lead_before = lead
+        self._lead = lead - self._lead_before
 
     @property
     def won(self) -> bool:
-        """Whether it has proven to be far better; what it suspects it then says."""
+        """Whether it has proven to be far better, and is known well enough to say what it suspects."""
         return self._lead > _FAR and self.detector.compares and self.detector.track_record.earned
 
     @property

@@ -56,6 +56,7 @@ class WallToRos:
 
 
 CENTIKELVIN = 0.01
+"""Resolution of the published images, K."""
 
 
 def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
@@ -94,8 +95,8 @@ def _image(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     return message
 
 
-_IMAGES = "Highest rate of images, by the wall clock; 0: all."
-_TEMPERATURES = "Highest rate of temperatures; 0: every new image."
+_IMAGE_RATE = "Highest rate of images, by the wall clock; 0: all."
+_TEMPERATURE_RATE = "Highest rate of temperatures; 0: every new image."
 PATIENCE = 0.2
 """Longest wait of the thread for a frame before it checks whether it should end, s."""
 
@@ -131,8 +132,8 @@ class CameraBridge(TwinmatchNode):
         *_region_parameters(
             "plate", "Region of the whole plate, for its uniformity: first column.", (22, 14, 36, 32)
         ),
-        Setting("temperature_rate", 0.0, _TEMPERATURES, "Hz", 0.0, 1000.0),
-        Setting("image_rate", 10.0, _IMAGES, "Hz", 0.0, 1000.0),
+        Setting("temperature_rate", 0.0, _TEMPERATURE_RATE, "Hz", 0.0, 1000.0),
+        Setting("image_rate", 10.0, _IMAGE_RATE, "Hz", 0.0, 1000.0),
         Setting("frame_id", "thermal_camera", "Frame of the images."),
         Setting("plate_frame_id", "plate", "Frame of the temperature."),
     )
@@ -145,7 +146,7 @@ class CameraBridge(TwinmatchNode):
         self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
         self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
         self._camera = ThermalClient(values["host"], values["port"], given_to(ClientSettings(), values))
-        self._past = WallToRos()
+        self._wall_to_ros = WallToRos()
         self._thread = Background("camera", self._run)
         self.beside += [self._thread, self._camera]
         self._measured_at: int | None = None  # stamp of the last temperature, ns
@@ -238,7 +239,7 @@ class CameraBridge(TwinmatchNode):
         wall = time.monotonic_ns()
         if clock.ros_time_is_active and abs(ros - received.frame.stamp) < SAME_CLOCK:
             return received.frame.stamp  # a simulated camera stamps in simulated time
-        return self._past.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
+        return self._wall_to_ros.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
 
     def _publish_temperature(self, frame: ThermalFrame, stamp: int) -> None:
         last = self._measured_at

@@ -27,7 +27,8 @@ def serialized(message: Any) -> bytes:
 
 
 def _end(value: Any, kind: Any, position: int) -> int:
-    """Where a value of this kind, None for a message, ends that is written from a position on."""
+    """The position at which a value ends if it begins at `position`; a `kind` of None is that of a
+    message."""
     if isinstance(kind, BasicType):
         return _end_of_numbers(1, kind, position)
     if isinstance(kind, AbstractString):
@@ -45,5 +46,6 @@ def _end(value: Any, kind: Any, position: int) -> int:
 
 
 def _end_of_numbers(count: int, kind: BasicType, position: int) -> int:
+    """The position at which so many numbers end, the first of them aligned to its size."""
     size = _SIZES[kind.typename]
     return position + (-position % size + count * size if count else 0)

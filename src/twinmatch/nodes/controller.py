@@ -43,8 +43,8 @@ _HOLDS = "How long each of them is held; the last one stays."
 _FOLLOWED = "Follow the course; the profile waits meanwhile, and continues where it was."
 _LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Levels of the default profile, as fractions of the range of sensible set-points."""
-_LEVEL = ("Set-points, one after the other.", "Set-points: one of each output, then the next of each.")
-"""Of one output, and of several."""
+_LEVELS_OF_ONE = "Set-points, one after the other."
+_LEVELS_OF_SEVERAL = "Set-points: one of each output, then the next of each."
 
 
 def _level(output: Output, number: int) -> float:
@@ -72,12 +72,13 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
     lowest = one_or_each([max(y.span[0], y.safe[0]) for y in outputs])
     highest = one_or_each([min(y.span[1], y.safe[1]) for y in outputs])
     ramp = one_or_each([0.0 for _ in outputs])
+    meaning = _LEVELS_OF_SEVERAL if len(outputs) > 1 else _LEVELS_OF_ONE
     changing = partial(Setting, changeable=True)
     return (
         Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         *loop_parameters(plant),
         Setting("reference_source", sources[0], _SOURCE, choices=sources),
-        changing("profile.levels", levels, _LEVEL[len(outputs) > 1], unit, low, high),
+        changing("profile.levels", levels, meaning, unit, low, high),
         changing("profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6),
         changing("profile.repeat", True, "Repeat the profile; otherwise the last level is held."),
         changing("profile.ramp", ramp, _RAMP, f"{unit}/s", 0.0, high - low),
@@ -265,7 +266,7 @@ class ControllerNode(TwinmatchNode):
         self.entrance.plant = self._plant
         self._profiles = profiles_from(values)
         self._course = course_from(values)
-        """What is followed in place of the profiles, which wait; None: they do not."""
+        """The course that is followed while the profiles wait; None: the profiles are followed."""
         self._begun = 0.0
         """Start of the profiles, or of the course, s since sample 0."""
         self._waited_at = 0.0
@@ -277,7 +278,7 @@ class ControllerNode(TwinmatchNode):
         """Set-points published or received last."""
         self._single = len(self._plant.outputs) == 1
         self._missed = Missed(self.health)
-        self._wiring = PELTIER if self._plant is Peltier else GENERAL
+        self._topics = PELTIER if self._plant is Peltier else GENERAL
         self._commands: Any = None
         self._on_trial = LawReport(0, TrialPhase.KEPT)
         """What was reported last of a law on trial."""
@@ -291,10 +292,10 @@ class ControllerNode(TwinmatchNode):
         Controller(self._pids[0]).step(0.0, 0.0)
         if self._signature is not None:
             self._eigenvalue(self._pids)
-        wiring = self._wiring
-        self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
-        self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)
-        self._commands = self.create_publisher(wiring.command_type, wiring.command, 10)
+        topics = self._topics
+        self.create_subscription(topics.reading_type, topics.reading, self._on_reading, NEWEST)
+        self.create_subscription(topics.applied_type, topics.applied, self._on_applied, RELIABLE)
+        self._commands = self.create_publisher(topics.command_type, topics.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         timeout = self.values["wait_timeout"]
         number = self.values["wait_for"]
@@ -374,24 +375,28 @@ class ControllerNode(TwinmatchNode):
     def _on_reading(self, message: Any) -> None:
         plant_now = self._now()
         stamp = Time.from_msg(message.header.stamp).nanoseconds
-        outputs = getattr(message, self._wiring.output)
+        outputs = getattr(message, self._topics.output)
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         samplings = tuple(getattr(message, "taken", ()))
         self._loop.measure(outputs, min(stamp, plant_now) if stamp else plant_now, disturbances, samplings)
 
     def _on_applied(self, message: Any) -> None:
-        """While a fault holds or limits the drive, a sample with another input would blame the drive."""
+        """Tell the loop what holds or limits the drive.
+
+        Otherwise a sample would have an input that did not act, and the drive would be blamed.
+        """
         loop = self._loop
         limited = is_limit(message.fault)
         loop.held = bool(message.fault) and not limited
         if not limited:
             loop.limits = [math.inf] * len(loop.inputs)
         elif message.sequence == self._index:
-            applied = point_values(getattr(message, self._wiring.input))
+            applied = point_values(getattr(message, self._topics.input))
             # Boards round to whole counts.
             loop.limits = [
-                a if u - a > self.ROUNDED else math.inf for u, a in zip(loop.inputs, applied, strict=True)
+                value if command - value > self.ROUNDED else math.inf
+                for command, value in zip(loop.inputs, applied, strict=True)
             ]
         self.health.flag_if(loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}")
         self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
@@ -416,22 +421,22 @@ class ControllerNode(TwinmatchNode):
         self.health.withdraw("set-point")
         self._set_points = set_points
 
-    def _on_law(self, asked: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
+    def _on_law(self, request: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
         """Put a law on trial, or give the law before back, by the operator's word."""
         loop = self._loop
         try:
-            if asked.back:
+            if request.back:
                 if loop.trial is None or loop.trial.phase is TrialPhase.BACK:
                     return ApplyLaw.Response(success=False, message="the law of the configuration drives")
                 loop.take_back("given back by the operator")
             else:
-                self._try(asked)
+                self._try(request)
         except (TwinmatchError, ValueError) as error:
             return ApplyLaw.Response(success=False, message=str(error))
         self._report_law()
         return ApplyLaw.Response(success=True, message="done; plant/law has what comes of it")
 
-    def _try(self, asked: ApplyLaw.Request) -> None:
+    def _try(self, request: ApplyLaw.Request) -> None:
         """Put a law on trial.
 
         Raises:
@@ -441,42 +446,42 @@ class ControllerNode(TwinmatchNode):
         """
         loop = self._loop
         size = len(self._pids)
-        self._check_signature(asked)
-        if asked.decision != "safe" and not asked.although:
-            raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
-        if not (loop.running and 0 <= self._index - asked.sample <= self.EXPIRES):
+        self._check_signature(request)
+        if request.decision != "safe" and not request.although:
+            raise ControlError(f"loop: the law is {request.decision or 'not tried'}, not safe")
+        if not (loop.running and 0 <= self._index - request.sample <= self.EXPIRES):
             raise ControlError(
-                f"loop: the answer is from sample {asked.sample}, and now is {self._index}; ask again"
+                f"loop: the answer is from sample {request.sample}, and now is {self._index}; ask again"
             )
-        if {len(getattr(asked, name)) for name in GAINS} != {size}:
+        if {len(getattr(request, name)) for name in GAINS} != {size}:
             raise ControlError(f"loop: give {size} of each gain, one for each output")
-        rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
+        rows = zip(*(getattr(request, name) for name in GAINS), strict=True)
         gains = []
         for running, row in zip(self._pids, rows, strict=True):
             gains.append(replace(running, **dict(zip(GAINS, row, strict=True))))
         self._check_gains(gains)
         eigenvalue = self._eigenvalue(gains)
-        if eigenvalue >= 1.0 and not asked.although:
+        if eigenvalue >= 1.0 and not request.although:
             raise ControlError(
                 "loop: with this law the plant of its file is not stable (largest eigenvalue "
                 f"{eigenvalue:.4g}); it is run with --although only"
             )
-        low = np.reshape(asked.low, (-1, size))
-        high = np.reshape(asked.high, (-1, size))
-        trial = LawTrial(TrialBands(low, high, asked.shadow, asked.patience))
+        low = np.reshape(request.low, (-1, size))
+        high = np.reshape(request.high, (-1, size))
+        trial = LawTrial(TrialBands(low, high, request.shadow, request.patience))
         loop.try_law(_law_of(gains), trial)
-        self._taken_answers.add(asked.signature)
+        self._taken_answers.add(request.signature)
         report = LawReport(
             self._index,
             TrialPhase.ANSWERED,
-            decision=asked.decision,
-            family=asked.family,
-            although=asked.although,
-            request=asked.request,
+            decision=request.decision,
+            family=request.family,
+            although=request.although,
+            request=request.request,
         )
         self._on_trial = report.of(gains)
 
-    def _check_signature(self, asked: ApplyLaw.Request) -> None:
+    def _check_signature(self, request: ApplyLaw.Request) -> None:
         """Refuse what the twin of this run has not signed, or what was taken before.
 
         Raises:
@@ -484,11 +489,11 @@ class ControllerNode(TwinmatchNode):
         """
         if self._signature is None:
             raise ControlError(f"loop: the controller {WITHOUT}")
-        if not self._signature.signs(asked):
+        if not self._signature.signs(request):
             raise ControlError(
                 "loop: the request lacks the signature of this run's twin; ask the twin (twinmatch apply)"
             )
-        if asked.signature in self._taken_answers:
+        if request.signature in self._taken_answers:
             raise ControlError("loop: that answer has put its law on trial already; ask again")
 
     def _check_gains(self, gains: Sequence[PidGains]) -> None:
@@ -572,9 +577,9 @@ class ControllerNode(TwinmatchNode):
     def _command(self, values: Sequence[float]) -> None:
         if self._commands is not None:
             plant_now = self._now()
-            wiring = self._wiring
-            sent = values[0] if wiring is PELTIER else list(values)
-            message = wiring.command_type(index=self._index, **{wiring.input: sent})
+            topics = self._topics
+            inputs = values[0] if topics is PELTIER else list(values)
+            message = topics.command_type(index=self._index, **{topics.input: inputs})
             message.header.stamp = time_message(plant_now)
             self._commands.publish(message)
             if self.step is not None:

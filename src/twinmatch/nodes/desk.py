@@ -46,11 +46,11 @@ class Desk:
         self._newest = newest
         self._stamp_of = stamp_of
         self._turn = turn
-        self._jobs: deque[None] = deque()  # a mark for each that is not done
+        self._unfinished: deque[None] = deque()  # a mark for each that is not done
         self._worker: Worker[Callable[[], None]] = Worker(self._do, node.health)
         node.beside.append(self._worker)
         if node.step is not None:
-            node.step.wait_for(lambda: bool(self._jobs))
+            node.step.wait_for(lambda: bool(self._unfinished))
 
     @abstractmethod
     def refuse(self, reason: str) -> None:
@@ -58,7 +58,7 @@ class Desk:
 
     def put(self, job: Callable[[], None]) -> None:
         """Queue a job."""
-        self._jobs.append(None)
+        self._unfinished.append(None)
         self._worker.put(job)
 
     def answer_of(self, client: Any, request: Any) -> Any:
@@ -88,7 +88,7 @@ class Desk:
         except Exception as error:  # of the report itself
             self._node.get_logger().error(defect_of(error).sentence)
         finally:
-            self._jobs.pop()
+            self._unfinished.pop()
 
     def _report_failure_of(self, job: Callable[[], None]) -> None:
         try:

@@ -71,7 +71,7 @@ class ForecastPublisher:
         self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
         self._forecasts_made = 0
-        self.heard = 0
+        self.published_before = 0
         """Number of forecasts published before this node started, which are not published again."""
         self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
         self._leaders = node.create_publisher(ForecastScore, "twin/leader", LATCHED)
@@ -83,7 +83,7 @@ class ForecastPublisher:
         if snapshot.leading is None:
             return
         self._forecasts_made += 1
-        if self._forecasts_made <= self.heard:
+        if self._forecasts_made <= self.published_before:
             return
         outlook = snapshot.outlook()
         leader = (outlook.candidate, outlook.parameters)
@@ -202,21 +202,21 @@ class DiscriminatorNode(SampleNode):
         request = self._discriminator.request
         return request is not None and (self._watch.last or 0) - request.sample > self.BEHIND
 
-    def work(self, item: Sample | MatchReport | LawReport) -> None:
+    def work(self, received: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
-        if isinstance(item, LawReport):
-            self._laws.observe(item)
-            if item.first:
-                last = item.sample if item.phase is TrialPhase.BACK else math.inf
-                self._discriminator.tell_of_trial(item.first, last)
+        if isinstance(received, LawReport):
+            self._laws.observe(received)
+            if received.first:
+                last = received.sample if received.phase is TrialPhase.BACK else math.inf
+                self._discriminator.tell_of_trial(received.first, last)
             return
-        if isinstance(item, MatchReport):
-            step = self._discriminator.push_match(item)
+        if isinstance(received, MatchReport):
+            step = self._discriminator.push_match(received)
         else:
-            if item.index < self._newest_index:
+            if received.index < self._newest_index:
                 self._laws.begin_again()
-            self._newest_index = item.index
-            step = self._discriminator.push_sample(item)
+            self._newest_index = received.index
+            step = self._discriminator.push_sample(received)
         self._publish_step(step)
         while step.request is not None and (earlier_match := self._answer(step.request)) is not None:
             step = self._discriminator.push_match(earlier_match)
@@ -233,7 +233,7 @@ class DiscriminatorNode(SampleNode):
         """Take the results of a discriminator before this one, which are not published again."""
         if not self._stream.begun:
             self._published_before = answer.scores_heard
-            self._forecasts.heard = answer.forecasts_heard
+            self._forecasts.published_before = answer.forecasts_heard
         self._answers += map(record_of, answer.match)
 
     def _stamp_of(self, record: Verdict | twin.MatchRequest) -> int:
@@ -241,6 +241,7 @@ class DiscriminatorNode(SampleNode):
         return self._discriminator.stamps.get(record.sample, 0)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
+        """The match that answered a request before this node started, if there is one."""
         while self._answers:
             report = self._answers.popleft()
             if report.answers(request):
@@ -248,6 +249,7 @@ class DiscriminatorNode(SampleNode):
         return None
 
     def _publish_step(self, step: Step) -> None:
+        """Publish what a sample or a match has brought: estimates, forecasts and verdicts."""
         for estimate in step.estimates:
             self.publish(self._estimates, message_of(estimate, self._discriminator.stamps[estimate.sample]))
         defects = self._discriminator.defects
@@ -255,7 +257,7 @@ class DiscriminatorNode(SampleNode):
             with without_what_fails("no forecast could be published", defects):
                 self._forecasts.publish(snapshot)
         for verdict in step.verdicts:
-            self._publish(verdict)
+            self._publish_verdict(verdict)
         if step.verdicts:  # a match may have brought a candidate
             with without_what_fails("no question can be answered with what is new", defects):
                 self._forecasts.take(self._discriminator.forecaster.snapshot())
@@ -278,6 +280,7 @@ class DiscriminatorNode(SampleNode):
         return len(request.output) // len(self.settings.plant.outputs)
 
     def _repeat(self) -> None:
+        """Repeat the pending request if it has not been answered for `PATIENCE`."""
         pending = self._pending
         if pending is None or time.monotonic() - self._requested_at < self.PATIENCE:
             return
@@ -287,15 +290,16 @@ class DiscriminatorNode(SampleNode):
 
     def _on_match(self, report: MatchReport) -> None:
         pending = self._pending
-        asked = None if pending is None else (pending.sample, pending.first, self._length(pending))
+        requested = None if pending is None else (pending.sample, pending.first, self._length(pending))
         first, last = report.match.samples
-        if asked != (report.sample, first, last + 1 - first):
+        if requested != (report.sample, first, last + 1 - first):
             self.health.count("matches not asked for")  # a second answer, or anybody's: not even queued
             return
         self._pending = None
         self.put(report)
 
-    def _publish(self, verdict: Verdict) -> None:
+    def _publish_verdict(self, verdict: Verdict) -> None:
+        """Report a verdict and publish it, unless a discriminator before this one did; then the nominal."""
         if self._judged is None or verdict.named_fault != self._judged.named_fault:
             self._fault_reason = verdict.reason
         self._judged = verdict

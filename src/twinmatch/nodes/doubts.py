@@ -25,14 +25,16 @@ _GONE: Final = "a node that is gone"
 class _Topic:
     """A topic that should have one publisher."""
 
-    second: Callable[[], bool]
+    has_second: Callable[[], bool]
+    """Whether a second publisher is there, or was since the last call."""
     seen: dict[bytes, str]
-    """The names of its publishers: now, or since a second one came."""
+    """Names of its publishers; while it is doubted, of all since a second one came."""
     since: int | None = None
     """Newest sample when a second publisher came; None: there is none."""
     until: float = 0.0
     """Until when its messages may arrive, wall s."""
     told: dict[str, str] = field(default_factory=dict)
+    """The record of the present doubt, as it was written last; empty: none yet."""
 
     @property
     def names(self) -> list[str]:
@@ -59,7 +61,7 @@ class Doubts:
         if watched is None:
             self._topics[topic] = _Topic(self._node.entrance.second(subscription), self._publishers(topic))
         else:
-            watched.second = self._node.entrance.second(subscription)
+            watched.has_second = self._node.entrance.second(subscription)
 
     def sample(self, index: int, wall_now: float) -> None:
         """Take the index of the newest sample, received at `wall_now` (s)."""
@@ -69,7 +71,7 @@ class Doubts:
     def look(self, wall_now: float) -> None:
         """Look who publishes at `wall_now` (s)."""
         for name, topic in self._topics.items():
-            if topic.second():
+            if topic.has_second():
                 topic.since = self._index if topic.since is None else topic.since
                 topic.until = wall_now + ALONE
             if topic.since is None:
@@ -85,8 +87,12 @@ class Doubts:
                 topic.seen = self._publishers(name)
 
     def _note(self, name: str, topic: _Topic, last: str) -> None:
-        if len(topic.names) < 2 or (len(topic.seen) < 2 and not last):
-            return
+        """Record the doubt about a topic, unless its record says so already; `last` sample, empty: it
+        lasts."""
+        if len(topic.names) < 2:
+            return  # a node that was restarted
+        if len(topic.seen) < 2 and not last:
+            return  # the other publisher may still become known
         if not topic.told:
             self._number += 1
         record = {

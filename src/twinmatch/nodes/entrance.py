@@ -54,7 +54,7 @@ class _ReportedRefusal:
     name: str
     """Of the topic or service."""
     topic: str
-    """Whose publisher is to be named as soon as it is known; empty if it was, or for a service."""
+    """The topic whose publisher has still to be named; empty once it is, and for a service."""
 
 
 class Entrance:
@@ -93,16 +93,16 @@ class Entrance:
         """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
         If `raw`, it gets bytes again: those of the message that was checked, without what follows its last
-        field. Bytes of types that are not in the table pass as they came, and so may
-        what is said of a plant that only another process has loaded.
+        field. Bytes of types that are not in the table pass as they are. What another process says of a plant
+        that only it has loaded may pass, too.
         """
         if raw and kind not in MESSAGES:
             return take
         expected = MESSAGES.get(kind, MessageRules())
 
-        def receive(came: bytes) -> None:
+        def receive(data: bytes) -> None:
             try:
-                message = _message(came, kind)
+                message = _message(data, kind)
                 check(message, self.plant)
                 if course is not None:
                     course.follow(message, time.monotonic())
@@ -115,7 +115,10 @@ class Entrance:
         return receive
 
     def second(self, subscription: Any) -> SecondPublisher:
-        """Who asks whether a subscription has a second publisher; the answers are its alone."""
+        """What tells whether a subscription has a second publisher.
+
+        Each subscription has one of its own: an answer is about the time since the last question.
+        """
         if subscription not in self._seconds:
             self._seconds[subscription] = SecondPublisher(subscription)
         return self._seconds[subscription]
@@ -158,8 +161,11 @@ class Entrance:
         return len(self._refusals)
 
     def refuse(self, name: str, why: str, topic: str = "") -> None:
-        """Count a message that is not used, and tell it once while messages of its kind come: of a topic with
-        its sender, as soon as DDS knows a new node's name."""
+        """Count a message that is not used, and report it once for as long as messages of its kind are
+        received.
+
+        For a topic, the report names the sender as soon as DDS knows a new node's name.
+        """
         self._health.count(f"refused: {name}")
         why = why if len(why) <= self.MAX_TEXT else f"{why[: self.MAX_TEXT]}…"
         kind = f"{name}: {_FIGURES.sub('', why)}"
@@ -265,6 +271,7 @@ class Course:
         return self._second is None
 
     def _is_believed(self, message: Any, now: float, alone: bool) -> bool:
+        """Whether a message that departs is believed: enough of them agree, or all publishers are new."""
         if self._refused and self._departs(self._refused[-1], message, math.inf):
             self._refused.clear()
         self._refused.append(message)

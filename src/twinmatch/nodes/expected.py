@@ -82,28 +82,28 @@ def _numbers(message: Any, names: Iterable[str]) -> Iterator[tuple[str, float]]:
             yield name, number
 
 
-def _finite(message: Any, *names: str) -> None:
-    """Numbers, or lists of numbers, that are finite and not absurdly large."""
+def _check_finite(message: Any, *names: str) -> None:
+    """Check that numbers, or lists of numbers, are finite and not absurdly large."""
     for name, number in _numbers(message, names):
         if not abs(number) <= LARGEST:  # true for NaN too
             raise MessageError(f"{name} is {number}; expected a finite number")
 
 
-def _within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
-    """Numbers, or lists of numbers, in a range or, if absent, NaN."""
+def _check_within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
+    """Check that numbers, or lists of numbers, are in a range; NaN passes if a number may be `absent`."""
     for name, number in _numbers(message, names):
         if not (low <= number <= high or (absent and math.isnan(number))):
             raise MessageError(f"{name} is {number:g}; expected {low:g} to {high:g}")
 
 
-def _rising(message: Any, name: str) -> None:
+def _check_rising(message: Any, name: str) -> None:
     values = getattr(message, name)
     if not all(math.isfinite(v) and v >= 0 for v in values) or any(a >= b for a, b in pairwise(values)):
         raise MessageError(f"{name} does not rise from 0 on")
 
 
 def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
-    """A number and the word of its constant."""
+    """Check that a number is that of one of these words, and that its word says the same."""
     number = getattr(message, name)
     word = getattr(message, f"{name}_name")
     if word not in words or getattr(type(message), word.upper()) != number:
@@ -111,15 +111,15 @@ def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
         raise MessageError(f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}")
 
 
-def _among(words: Iterable[str], listed: Iterable[str], kind: str) -> None:
+def _check_among(words: Iterable[str], listed: Iterable[str], kind: str) -> None:
     accepted = {"", *listed}
     unknown = [word for word in words if word not in accepted]
     if unknown:
         raise MessageError(f"{kind} {unknown[0][:40]!r} is not among those listed")
 
 
-def _in_order(message: Any) -> None:
-    """The window before the sample that triggered it."""
+def _check_window(message: Any) -> None:
+    """Check that the window ends at the sample that triggered it, or before."""
     if not 0 <= message.first <= message.last <= message.sample:
         window = f"{message.first} to {message.last}"
         raise MessageError(f"its window is {window} at sample {message.sample}; it must end there or before")
@@ -128,11 +128,11 @@ def _in_order(message: Any) -> None:
 def _check_sample(message: Any) -> None:
     if missing := incomplete(message.index, [len(getattr(message, name)) for name in LOOP]):
         raise MessageError(missing)
-    _finite(message, *SAMPLED)
+    _check_finite(message, *SAMPLED)
 
 
 def _check_signals(message: Any, plant: type[Plant]) -> None:
-    """Whether a sample has the signals of a plant."""
+    """Check that a sample has the signals of a plant."""
     lengths = [len(getattr(message, name)) for name in LOOP]
     outputs = len(plant.outputs)
     expected = [outputs, outputs, len(plant.drives)]
@@ -168,10 +168,10 @@ def _check_forecast(message: Any) -> None:
     for name in bands:
         values = len(getattr(message, name.split("_", maxsplit=1)[0]))
         _check_size(message, values, name, of="its means")
-    _rising(message, "time")
-    _finite(message, *bands)
-    _within(message, -LARGEST, LARGEST, "reference")  # a twin whose loop is not known assumes inputs
-    _within(message, 0.0, 1.0, "confidence", absent=False)
+    _check_rising(message, "time")
+    _check_finite(message, *bands)
+    _check_within(message, -LARGEST, LARGEST, "reference")  # a twin whose loop is not known assumes inputs
+    _check_within(message, 0.0, 1.0, "confidence", absent=False)
 
 
 STATUSES: Final = [status.value for status in Status]
@@ -181,15 +181,15 @@ LEVELS: Final = [level.value for level in TrustLevel]
 def _check_match(message: Any) -> None:
     size = len(message.free)
     _check_word(message, "status", STATUSES)
-    _in_order(message)
+    _check_window(message)
     _check_point(message)
     _check_size(message, size, "standard_errors", "eigenvalues", of="its free parameters")
     _check_size(message, size**2, "covariance", "fisher", of="its free parameters")
     _check_size(message, size**2, "directions", of="its free parameters", empty=True)
     _check_size(message, 2 * size, "intervals", of="its free parameters", empty=True)
     _check_size(message, len(message.starts), "start_values", of="its starts")
-    _among(chain(message.starts, message.bounds_hit, message.believed), message.free, "parameter")
-    _among(message.free, chain(message.parameters.names, message.starts), "parameter")
+    _check_among(chain(message.starts, message.bounds_hit, message.believed), message.free, "parameter")
+    _check_among(message.free, chain(message.parameters.names, message.starts), "parameter")
     if len(set(message.free)) != size:
         raise MessageError("free: a name is given twice")
     if any(low > high for low, high in zip(message.intervals[::2], message.intervals[1::2], strict=True)):
@@ -199,9 +199,9 @@ def _check_match(message: Any) -> None:
 
 
 def _check_accepted(message: Any, size: int) -> None:
-    """What the twin computes with: finite, and a covariance."""
-    _within(message, -math.inf, 1.0, "fit_y", "fit_u")
-    _within(message, 0.0, math.inf, "chi2", absent=False)
+    """Check what the twin computes with: its numbers are finite, and its covariance is one."""
+    _check_within(message, -math.inf, 1.0, "fit_y", "fit_u")
+    _check_within(message, 0.0, math.inf, "chi2", absent=False)
     for name in ("covariance", "fisher", "eigenvalues", "start_values"):
         if not all(map(math.isfinite, getattr(message, name))):
             raise MessageError(f"{name} of an accepted match is not finite")
@@ -227,19 +227,21 @@ def _check_verdict(message: Any) -> None:
     names = [c.name for c in message.candidates]
     modelled = sum(bool(c.orders) for c in message.candidates)
     _check_word(message, "level", LEVELS)
-    _in_order(message)
+    _check_window(message)
     if not 0 <= message.decimals <= 15:
         raise MessageError(f"decimals is {message.decimals}; expected 0 to 15")
     if len(set(names)) != len(names):
         raise MessageError("candidates: a name is given twice")
     _check_size(message, candidates**2, "nu_gap", of="its candidates", empty=True)
     _check_size(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
-    _within(message, 0.0, 1.0 + 1e-9, "nu_gap", "identified_gap", "leader_confidence", "inside_y", "inside_u")
-    _finite(message, "nu_gap_points")
-    _rising(message, "horizons")
-    _among([message.nominal], names, "nominal")
-    _among([message.match], (ADMITTED, REFUSED), "match")
-    _among([message.leader], [score.name for score in message.forecasts], "leader")
+    _check_within(
+        message, 0.0, 1.0 + 1e-9, "nu_gap", "identified_gap", "leader_confidence", "inside_y", "inside_u"
+    )
+    _check_finite(message, "nu_gap_points")
+    _check_rising(message, "horizons")
+    _check_among([message.nominal], names, "nominal")
+    _check_among([message.match], (ADMITTED, REFUSED), "match")
+    _check_among([message.leader], [score.name for score in message.forecasts], "leader")
     for candidate in message.candidates:
         _check_candidate(candidate)
     skills = [f"{name}_skill" for name in BASELINES]
@@ -250,41 +252,41 @@ def _check_verdict(message: Any) -> None:
         _check_score(score)
     for signal in message.signals:
         _check_size(signal, len(message.horizons), "coverage", *skills, of="the horizons", empty=True)
-        _within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
+        _check_within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
 
 
 def _check_point(message: Any) -> None:
-    _finite(message, "operating_point")
+    _check_finite(message, "operating_point")
     if not message.operating_point:
         raise MessageError("operating_point is empty; expected a value for each output")
 
 
 def _check_estimate(message: Any) -> None:
-    _finite(message, "value", "wide", "good")
-    _within(message, 0.0, LARGEST, "band", absent=False)
+    _check_finite(message, "value", "wide", "good")
+    _check_within(message, 0.0, LARGEST, "band", absent=False)
     if not (message.signal and message.since <= message.sample):
         raise MessageError("it names no signal, or begins behind its sample")
 
 
 def _check_experiment(message: Any) -> None:
     if message.phase_name != "refused":
-        _finite(message, "expected", "brought", "levels", "holds")
+        _check_finite(message, "expected", "brought", "levels", "holds")
 
 
 def _check_law(message: Any) -> None:
-    _finite(message, "proportional", "integral", "derivative")
+    _check_finite(message, "proportional", "integral", "derivative")
 
 
 def _check_candidate(candidate: Any) -> None:
     _check_point(candidate)
-    _among([candidate.chosen_order], [model.order for model in candidate.orders], "chosen_order")
-    _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
+    _check_among([candidate.chosen_order], [model.order for model in candidate.orders], "chosen_order")
+    _check_within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
     _check_size(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
     _check_named(candidate)
 
 
 def _check_score(score: Any) -> None:
-    _within(score, 0.0, math.inf, "forecasts")
+    _check_within(score, 0.0, math.inf, "forecasts")
     _check_named(score)
 
 
@@ -295,11 +297,11 @@ def _check_named(candidate: Any) -> None:
 
 def _check_request(message: Any) -> None:
     _check_point(message)
-    _finite(message, *SAMPLED)
-    _within(message, 1e-4, 1e6, "period", absent=False)
+    _check_finite(message, *SAMPLED)
+    _check_within(message, 1e-4, 1e6, "period", absent=False)
 
 
-def _request(message: Any) -> tuple[MatchRequest, int]:
+def _request_with_stamp(message: Any) -> tuple[MatchRequest, int]:
     """A request and its stamp, ns."""
     request = converted.request_from(message)
     if request.window.last > request.sample:
@@ -311,7 +313,7 @@ def _check_description(message: Any) -> None:
     for name in LOOP:
         if not getattr(message, name):
             raise MessageError(f"{name} is empty; a plant has at least one")
-    _within(message, 1e-4, 1e6, "period", absent=False)
+    _check_within(message, 1e-4, 1e6, "period", absent=False)
     if not message.plant:
         raise MessageError("plant is empty; expected its name")
     for signal in chain(*(getattr(message, name) for name in (*SAMPLED, "states"))):
@@ -336,7 +338,7 @@ def _check_health(message: Any) -> None:
 def _check_past(answer: Any) -> None:
     size = len(answer.index)
     _check_size(answer, size, "stamp", of="its samples")
-    _finite(answer, *SAMPLED)
+    _check_finite(answer, *SAMPLED)
     for name in SAMPLED:
         values = len(getattr(answer, name))
         if values % max(1, size) or (name in LOOP and values < size):
@@ -350,7 +352,7 @@ def _check_past(answer: Any) -> None:
         check_readable(part)
 
 
-def _check_answer(answer: Any) -> None:
+def _check_what_if_answer(answer: Any) -> None:
     if answer.success:
         _check_forecast(answer.forecast)
         _check_size(answer, 1, "level", "tolerance", of="one loop")
@@ -436,7 +438,7 @@ class MessageRules(NamedTuple):
     """What is expected of the messages of a type."""
 
     check: Callable[[Any], object] = lambda _: None
-    """After what is checked for all types."""
+    """Checks a message whose fields have passed `check_fields`."""
     read: Callable[[Any], Any] = lambda message: message
     """What subscribers get in place of a message."""
     departs: Callable[[Any, Any, float], str] | None = None
@@ -450,7 +452,7 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     ours.TwinState: MessageRules(_check_state),
     ours.Forecast: MessageRules(_check_forecast, converted.forecast_from),
     ours.Match: MessageRules(_check_match, converted.record_of),
-    ours.MatchRequest: MessageRules(_check_request, _request),
+    ours.MatchRequest: MessageRules(_check_request, _request_with_stamp),
     ours.ModelScore: MessageRules(_check_verdict, converted.record_of),
     ours.Candidate: MessageRules(_check_candidate),
     ours.ForecastScore: MessageRules(_check_score, converted.record_of),
@@ -462,7 +464,7 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     Image: MessageRules(_check_image),
     DiagnosticArray: MessageRules(_check_health),
     Past.Response: MessageRules(_check_past),
-    WhatIf.Response: MessageRules(_check_answer),
+    WhatIf.Response: MessageRules(_check_what_if_answer),
     GetParameters.Request: MessageRules(_check_names),
     GetParameters.Response: MessageRules(_check_values),
     SetParameters.Request: MessageRules(_check_parameter_values),

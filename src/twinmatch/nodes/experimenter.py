@@ -26,7 +26,7 @@ from twinmatch_msgs.srv import Experiment
 if TYPE_CHECKING:
     from twinmatch.twin.live_experiment import LiveExperiment
 
-_ASKED: Final = ("profile.lowest", "profile.highest", "reference_source")
+_PARAMETERS: Final = ("profile.lowest", "profile.highest", "reference_source")
 """Parameters of the controller that an experiment needs to know."""
 
 
@@ -48,10 +48,10 @@ class Experimenter(Desk):
         super().__init__(node, newest, stamp_of, turn)
         self._live: LiveExperiment | None = None
         self._running = False
-        self._sought = False
+        self._is_seeking = False
         """Whether a request has not been answered yet."""
         self._request = ""
-        """The word of the newest request that was not refused at once."""
+        """The word by which the newest request that was not refused at once is known to its sender."""
         self._reports = node.create_publisher(messages.ExperimentReport, "twin/experiment", LATCHED)
         self._get = node.create_client(GetParameters, "controller/get_parameters")
         self._set = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
@@ -59,7 +59,7 @@ class Experimenter(Desk):
 
     def take(self, samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> None:
         """Pass on what the twin has settled and judged."""
-        if self._running or self._sought:
+        if self._running or self._is_seeking:
             for sample in samples:
                 self.put(partial(self._push, sample))
             for verdict in verdicts:
@@ -78,7 +78,7 @@ class Experimenter(Desk):
         Raises:
             ExperimentError: there is none.
         """
-        if not (self._running or self._sought):
+        if not (self._running or self._is_seeking):
             raise ExperimentError("no experiment runs")
         self.put(partial(self._end, "stopped by the operator"))
         return "the set-point returns to where it was, and stays there"
@@ -89,7 +89,7 @@ class Experimenter(Desk):
         Raises:
             ExperimentError: it is refused.
         """
-        if self._running or self._sought:
+        if self._running or self._is_seeking:
             raise ExperimentError(Mover.EXPERIMENT.value)
         if request.run and not self._set.service_is_ready():
             raise ExperimentError(
@@ -98,7 +98,7 @@ class Experimenter(Desk):
         wish = Wish(request.goal or None, request.minutes or None, tuple(request.within) or None)
         if request.run and (why := self._turn.take(Mover.EXPERIMENT)):
             raise ExperimentError(why)
-        self._sought = True
+        self._is_seeking = True
         self._request = request.request
         self.put(partial(self._seek, wish, request.run))
         return "seeking; twin/experiment has what comes of it"
@@ -108,22 +108,19 @@ class Experimenter(Desk):
         if self._running and self._live is not None:
             self._finish(self._live.ended(reason))
         else:
-            self._sought = False
+            self._is_seeking = False
             self._turn.give_back(Mover.EXPERIMENT)
             self._publish(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason))
 
     def _seek(self, wish: Wish, run: bool) -> None:
         """Find the course for a wish and, if it is to run, have the controller follow it."""
         newest = self._newest()
-        usual: list[Any] = []
-        if run or self._get.service_is_ready():
-            answer = self.answer_of(self._get, GetParameters.Request(names=list(_ASKED)))
-            usual = [parameter_value_to_python(value) for value in answer.values]
-        if len(usual) == len(_ASKED) and None not in usual:
-            lowest = _by_output(usual[0])
-            highest = _by_output(usual[1])
+        of_controller = self._parameters_of_controller() if run or self._get.service_is_ready() else {}
+        if len(of_controller) == len(_PARAMETERS) and None not in of_controller.values():
+            lowest = _by_output(of_controller["profile.lowest"])
+            highest = _by_output(of_controller["profile.highest"])
             wish = replace(wish, ranges=tuple(zip(lowest, highest, strict=True)))
-        if run and usual[-1:] != ["profile"]:
+        if run and of_controller.get("reference_source") != "profile":
             raise ExperimentError(
                 "experiment: the controller takes its set-points from a topic; give these levels there, or "
                 "start it with reference_source: profile"
@@ -132,10 +129,20 @@ class Experimenter(Desk):
 
         self._live = LiveExperiment(self._node.settings, wish, newest)
         self._running = run
-        self._sought = False  # the reader of the proposal may ask at once
+        self._is_seeking = False  # the reader of the proposal may ask at once
         self._publish(self._live.report)
         if run:
             self._follow(self._live.run())
+
+    def _parameters_of_controller(self) -> dict[str, Any]:
+        """The values of `_PARAMETERS`, by name; None for one that the controller lacks.
+
+        Raises:
+            DeskError: it does not answer.
+        """
+        answer = self.answer_of(self._get, GetParameters.Request(names=list(_PARAMETERS)))
+        values = [parameter_value_to_python(value) for value in answer.values]
+        return dict(zip(_PARAMETERS, values, strict=False))
 
     def _judge(self, verdict: Verdict, snapshot: Snapshot) -> None:
         if self._running and self._live is not None:
@@ -159,7 +166,7 @@ class Experimenter(Desk):
 
     def _finish(self, report: ExperimentReport) -> None:
         """End the experiment that runs: the set-point returns to where it was, and stays there."""
-        self._running = self._sought = False
+        self._running = self._is_seeking = False
         try:
             if self._live is not None:
                 self._command(list(self._live.before), [self._node.settings.period])

@@ -92,7 +92,7 @@ class OutputGate:
         self._guards = tuple(guards) or (OutputGuard(),)
         self._safety_clock = SafetyClock(clock_limits)
         self.beside: Signals = ()
-        """What else acts on the plant while commands pass: the last of its disturbances."""
+        """The last disturbances of the plant, which act beside the drives while commands pass."""
         self._index = 0
         self.commanded = 0
         """Stamp of the newest command, ns."""
@@ -210,18 +210,21 @@ class OutputGate:
 def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
     """The parameters of the limits of a plant; `note` explains the default of the temperature's timeout."""
     most = max(map(abs, usual.commands))
-    names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
-    silence, *further = parameters_of(usual, **names)
-    *runaway, full = parameters_of(usual.runaway, "runaway.", **names)
-    heat = (parameters_of(getattr(usual, name), f"{name}.", **names) for name in ("budget", "observer"))
+    placeholders = {"y": usual.unit, "u": usual.drive_unit, "note": note}
+    # /clock's timeout stands behind the first two, and the least full command depends on the drive.
+    first, second, *further = parameters_of(usual, **placeholders)
+    *runaway, full_command = parameters_of(usual.runaway, "runaway.", **placeholders)
+    heat = (
+        parameters_of(getattr(usual, name), f"{name}.", **placeholders) for name in ("budget", "observer")
+    )
     clock = "Zero when /clock stands still for this long, by the wall clock."
     return (
-        silence,
-        further[0],
+        first,
+        second,
         Setting("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
-        *further[1:],
+        *further,
         *runaway,
-        replace(full, low=most / 255.0, high=most),
+        replace(full_command, low=most / 255.0, high=most),
         *itertools.chain.from_iterable(heat),
         Setting(
             "act_on",
@@ -238,13 +241,15 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
     Raises:
         SafetyError: values contradict each other.
     """
-    parts = {n: given_to(getattr(usual, n), values, f"{n}.") for n in ("runaway", "budget", "observer")}
+    parts = {
+        name: given_to(getattr(usual, name), values, f"{name}.") for name in ("runaway", "budget", "observer")
+    }
     return replace(given_to(usual, values), **parts)
 
 
 Link = TypeVar("Link", PwmLink, KitLink)
 Tell = Callable[[Any, int], None]
-"""Called with each report of the hardware (None: unknown) and the sample whose command it applies."""
+"""Takes each report of the hardware (None: unknown), and the sample whose command it has applied."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +324,7 @@ class DriverThread(Background, ABC, Generic[Link]):
         try:
             while not self.ending.is_set():
                 commanded = self._gate.commanded
-                self._turn()
+                self._serve_once()
                 if self.step is not None:
                     self.step.applied(commanded if self.connected else FOREVER)
         finally:
@@ -329,7 +334,8 @@ class DriverThread(Background, ABC, Generic[Link]):
                     self._zero()
             self.link.close()
 
-    def _turn(self) -> None:
+    def _serve_once(self) -> None:
+        """Apply one decision of the gate; open the link before that if it is closed."""
         try:
             if not self.link.is_open:
                 self._connect()

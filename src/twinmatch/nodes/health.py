@@ -12,8 +12,10 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from twinmatch.printing import printable
 
 PLANT_REPORT: Final = "discriminator: plant"
-"""How the name of the report on the plant's own health ends on /diagnostics: for programs that read nothing
-else. What shows verdicts leaves it out."""
+"""End of the name of the report on the plant's own health on /diagnostics.
+
+The report is for programs that read nothing else; displays that show verdicts leave it out.
+"""
 
 
 class Level(IntEnum):
@@ -82,7 +84,7 @@ class NodeHealth:
     def report(self) -> Report:
         """The level of the worst problem, and the messages of all, worst first."""
         with self._lock:
-            standing = sorted(self._problems.values(), key=lambda entry: -entry[0])
+            standing = sorted(self._problems.values(), key=lambda problem: -problem[0])
             values = dict(self._values)
             idle = self._idle
         if not standing:

@@ -34,7 +34,7 @@ TOPICS: Final = {
     Forecast: "twin/forecast",
     TwinState: "twin/state",
 }
-"""What is kept or, of the last two, counted."""
+"""Topics of the messages about samples: matches and verdicts are kept, forecasts and states are counted."""
 
 
 class RunStore:
@@ -111,7 +111,7 @@ class Keeper(TwinmatchNode):
         self._requested_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         for kind, name in TOPICS.items():
-            self.create_subscription(kind, name, partial(self._on_said, kind), EVERYTHING, raw=True)
+            self.create_subscription(kind, name, partial(self._on_message, kind), EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)
         Senders(self, ("plant/sample", "/clock"))
         self.health.say("keeping")
@@ -140,7 +140,7 @@ class Keeper(TwinmatchNode):
             self._store = RunStore()
         self._store.samples.push(sample)
 
-    def _on_said(self, kind: Any, data: bytes) -> None:
+    def _on_message(self, kind: Any, data: bytes) -> None:
         if not self._store.push(kind, data):
             self.health.count(f"{TOPICS[kind]}: more than samples")
 

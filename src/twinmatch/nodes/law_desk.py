@@ -51,9 +51,9 @@ class LawDesk(Desk):
         self._trying = False
         """Whether a request has not been answered yet."""
         self._request = TryLaw.Request()
-        """The newest that was not refused at once."""
+        """The newest request that was not refused at once."""
         self._word = ""
-        """By which the controller's reports on the law it was asked for are known."""
+        """The word of the law that the controller was asked to run: its reports on that law carry it."""
         self._reports = node.create_publisher(messages.LawReport, "twin/law", RELIABLE)
         self._apply = node.create_client(ApplyLaw, "plant/apply_law")
         node.create_service(TryLaw, "twin/try_law", self._on_request)
@@ -67,7 +67,9 @@ class LawDesk(Desk):
         """Take what the controller says of a law on trial: until its end nothing else moves the plant."""
         if report.phase in {TrialPhase.SHADOW, TrialPhase.DRIVING}:
             self._turn.observe(Mover.LAW)
-        elif not self._trying or report.request == self._word:  # one of before may be received late
+        elif (
+            not self._trying or report.request == self._word
+        ):  # a report on an earlier law may be received late
             self._turn.give_back(Mover.LAW)
 
     def begin_again(self) -> None:
@@ -76,15 +78,15 @@ class LawDesk(Desk):
             self._turn.give_back(Mover.LAW)
 
     def _on_request(self, request: TryLaw.Request, _: TryLaw.Response) -> TryLaw.Response:
-        if why := self._against(request):
+        if why := self._reason_to_refuse(request):
             return TryLaw.Response(success=False, message=why)
         self._trying = True
         self._request = request
         self.put(partial(self._try, request))
         return TryLaw.Response(success=True, message="trying; twin/law has the answer")
 
-    def _against(self, request: TryLaw.Request) -> str:
-        """Why a request is refused at once; empty if it is not. If it is to be run, it has its turn then."""
+    def _reason_to_refuse(self, request: TryLaw.Request) -> str:
+        """Why a request is refused at once; empty if it is not. A law that is to be run then has its turn."""
         if self._trying:
             return "another law is being tried; wait for its answer"
         if not 0.0 <= request.shadow <= MAX_SHADOW:
@@ -145,7 +147,7 @@ class LawDesk(Desk):
         by_name = {}
         for name in GAINS:
             by_name[name] = [getattr(loop_gains, name) for loop_gains in gains]
-        asked = ApplyLaw.Request(
+        law_request = ApplyLaw.Request(
             low=tried.low.ravel().tolist(),
             high=tried.high.ravel().tolist(),
             shadow=round(request.shadow / self._node.settings.period),
@@ -158,13 +160,13 @@ class LawDesk(Desk):
             **by_name,
         )
         assert self._signature is not None  # noqa: S101 — or the request was refused
-        asked.signature = self._signature.of(asked)
-        response: Any = self.answer_of(self._apply, asked)
+        law_request.signature = self._signature.of(law_request)
+        response: Any = self.answer_of(self._apply, law_request)
         if not response.success:
             raise RefusedLawError(response.message)
 
     def _end_request(self) -> None:
-        """The next one may come; without a law on trial it is nobody's turn."""
+        """Let the next request come, and give the turn back that this one has taken."""
         self._trying = False
         if self._request.run:
             self._turn.give_back(Mover.LAW)

@@ -31,36 +31,36 @@ PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
 
 
-Item = TypeVar("Item")
+Queued = TypeVar("Queued")
 PATIENCE = 0.2
 """Interval at which an idle worker checks whether it should end, s."""
 
 
-class Worker(Background, Generic[Item]):
-    """Handles items in the order in which they were queued.
+class Worker(Background, Generic[Queued]):
+    """Handles what is queued, in the order in which it came.
 
-    Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. After a
-    `TwinmatchError` of the handler, which is reported, the next item is handled; any other exception is a
+    Nothing is ever dropped: what is queued is small, and a lost sample would cost a whole window. After a
+    `TwinmatchError` of the handler, which is reported, it continues with the next; any other exception is a
     defect and ends the worker.
     """
 
-    def __init__(self, handle: Callable[[Item], None], health: NodeHealth, backlog: int = 100) -> None:
-        """Start the thread; more than `backlog` queued items are reported as a warning."""
+    def __init__(self, handle: Callable[[Queued], None], health: NodeHealth, backlog: int = 100) -> None:
+        """Start the thread; a queue longer than `backlog` is reported as a warning."""
         super().__init__("worker", self._work)
         self._handle = handle
         self._health = health
         self._backlog = backlog
-        self._items: SimpleQueue[Item] = SimpleQueue()
+        self._queue: SimpleQueue[Queued] = SimpleQueue()
         self.start()
 
     @property
     def depth(self) -> int:
-        """Number of queued items."""
-        return self._items.qsize()
+        """Length of the queue."""
+        return self._queue.qsize()
 
-    def put(self, item: Item) -> None:
-        """Queue an item."""
-        self._items.put(item)
+    def put(self, queued: Queued) -> None:
+        """Queue this for the handler."""
+        self._queue.put(queued)
 
     def watch(self) -> None:
         """Report the queue's depth."""
@@ -72,7 +72,7 @@ class Worker(Background, Generic[Item]):
     def _work(self) -> None:
         while not self.ending.is_set():
             try:
-                self._handle(self._items.get(timeout=PATIENCE))
+                self._handle(self._queue.get(timeout=PATIENCE))
             except Empty:
                 continue
             except TwinmatchError as error:
@@ -102,11 +102,11 @@ class Readers:
         self._names = set(node.values["readers"].split())
         self._until = time.monotonic() + timeout
         self.awaited = True
-        """Whether they are still waited for."""
+        """Whether the readers are still waited for."""
 
     @property
     def lacking(self) -> str:
-        """Who does not subscribe yet, for a message; empty if nobody is missing."""
+        """Which readers do not subscribe yet, as a sentence; empty if none is missing."""
         if not (self._names or self._number):
             return ""
         names = [info.node_name for info in self._node.get_subscriptions_info_by_topic(self._topic)]
@@ -121,7 +121,8 @@ class Readers:
         return time.monotonic() > self._until
 
     def there(self) -> bool:
-        """Whether the first sample may be published; who is missing when the wait is over is a warning."""
+        """Whether the first sample may be published; readers that are missing when the wait is over are a
+        warning."""
         if self.awaited:
             lacking = self.lacking
             if lacking and not self.late:

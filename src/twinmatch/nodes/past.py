@@ -68,8 +68,8 @@ class Stream:
         """Indices of the samples to fetch now; live samples are held back until then."""
         self._give = give
         self._learn = learn
-        self._matches = 0  # numbers of matches and verdicts that were received
-        self._verdicts = 0 if verdicts else NONE
+        self._matches = 0  # number that was received
+        self._verdicts = 0 if verdicts else NONE  # number that was received
         self._end = 0  # index of the newest sample passed on, plus one
         self._live: deque[Indexed] = deque()
 
@@ -249,7 +249,8 @@ class Copies:
         self._fetched.setdefault(name, set()).add(values)
 
     def found(self, name: str, values: Callable[[], str]) -> bool:
-        """Whether a message with these values was fetched; if not, no later one of its topic was."""
+        """Whether a message with these values was fetched. Once one was not, no later one of its topic
+        was."""
         fetched = self._fetched.get(name)
         if fetched is None:
             return False
@@ -260,19 +261,21 @@ class Copies:
 
 
 @dataclass(frozen=True)
-class Kept:
+class HeldMessage:
     """A serialised message that is held back."""
 
     index: int
-    """Of the sample itself, or of the sample that the message is about."""
+    """Index of the sample that the message is, or is about."""
     name: str
     data: bytes
     stamp: int
     """ns"""
     live: bool = True
+    """Whether it was received from its publisher; else it was fetched from the keeper."""
 
 
 Write = Callable[[str, bytes, int], None]
+"""Takes a topic, a serialised message and its time, ns."""
 
 
 class RecorderPast:
@@ -293,7 +296,7 @@ class RecorderPast:
         self._write = write
         self._sample, self._match, self._score = topics
         self._kinds: Mapping[str, type[Match | ModelScore]] = {self._match: Match, self._score: ModelScore}
-        self._about: list[Kept] = []
+        self._about: list[HeldMessage] = []
         """Messages about samples that are still to come, in the order of writing."""
         self._copies = Copies()
         self._caught_up = False
@@ -305,10 +308,10 @@ class RecorderPast:
         if self._caught_up:
             return not self._is_copy(name, data)
         if name == self._sample:
-            self.stream.push(Kept(decode_sample(data).index, name, data, now))
+            self.stream.push(HeldMessage(decode_sample(data).index, name, data, now))
         else:
             message: Any = deserialize_message(data, self._kinds[name])
-            self._hold(Kept(message.sample, name, data, now))
+            self._hold(HeldMessage(message.sample, name, data, now))
         return False
 
     def finish(self) -> None:
@@ -324,14 +327,14 @@ class RecorderPast:
                 self._copies.add(name, repr(message))
                 data = serialized(message)
                 stamp = nanoseconds(message.header.stamp)
-                self._hold(Kept(message.sample, name, data, stamp, live=False))
+                self._hold(HeldMessage(message.sample, name, data, stamp, live=False))
 
-    def _hold(self, message: Kept) -> None:
+    def _hold(self, message: HeldMessage) -> None:
         insort(self._about, message, key=lambda waiting: (waiting.index, waiting.name))
 
-    def _on_next(self, sample: Kept | Sample) -> None:
+    def _on_next(self, sample: HeldMessage | Sample) -> None:
         self._write_before(sample.index)
-        if isinstance(sample, Kept):
+        if isinstance(sample, HeldMessage):
             self._write(sample.name, sample.data, sample.stamp)
         else:
             self._write(self._sample, encode_sample(sample), sample.stamp)

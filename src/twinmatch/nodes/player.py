@@ -38,7 +38,7 @@ class Pace:
         self.rate = rate
         """Recorded seconds per second; 0: as fast as possible."""
         self._recorded = start  # recorded time reached at `_since`
-        self._since: float | None = None  # the listener's time then; None while paused
+        self._since: float | None = None  # the caller's time then; None while paused
 
     @property
     def paused(self) -> bool:

@@ -44,8 +44,8 @@ class PwmDriver(DriverThread[PwmLink]):
     CLOSING = 3.0
     ERRORS = PwmLinkError
 
-    _sent = 0.0
-    _asked_at = 0.0
+    _sent = 0.0  # the command that was sent last
+    _queried_at = 0.0  # wall s
 
     def _refusal(self, error: PwmLinkError) -> FaultKind | None:
         if isinstance(error, PwmVersionError):
@@ -96,8 +96,8 @@ class PwmDriver(DriverThread[PwmLink]):
             self._driving = False
             self._tell(self.link.command(0.0), decision.sample)
             return
-        elif time.monotonic() - self._asked_at >= IDLE:
-            self._asked_at = time.monotonic()
+        elif time.monotonic() - self._queried_at >= IDLE:
+            self._queried_at = time.monotonic()
             self._tell(self.link.query(), decision.sample)
             return
         self._gate.wait(self._pace.poll)

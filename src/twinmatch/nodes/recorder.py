@@ -107,7 +107,7 @@ class NodeSettings:
         self._own_name = node.get_fully_qualified_name()
         self._namespace = node.get_namespace().rstrip("/") + "/"
         self._clients: dict[str, list[Any]] = {}
-        self._asked: dict[str, float] = {}  # when, s; without those that have answered
+        self._asked: dict[str, float] = {}  # when each node was asked that has not answered, wall s
         self._known_nodes: set[str] = set()
         self._answered: set[str] = set()  # since the last call
 
@@ -117,19 +117,24 @@ class NodeSettings:
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
         }
-        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own_name and "/_" not in n}
-        for name in self._answered | (self._clients.keys() - mine):
+        of_rig = {name for name in nodes if self._is_of_rig(name)}
+        for name in self._answered | (self._clients.keys() - of_rig):
             self._forget(name)
         self._answered.clear()
-        self._known_nodes &= mine
+        self._known_nodes &= of_rig
         wall_now = time.monotonic()
-        for name in mine - self._known_nodes:
+        for name in of_rig - self._known_nodes:
             if name in self._asked and wall_now - self._asked[name] > self.PATIENCE:
                 self._forget(name)
             if name not in self._asked:
                 self._ask(name, wall_now)
 
+    def _is_of_rig(self, name: str) -> bool:
+        """Whether a node is another one in this namespace, and is not hidden."""
+        return name.startswith(self._namespace) and name != self._own_name and "/_" not in name
+
     def _ask(self, name: str, now: float) -> None:
+        """Ask a node for its parameters, once its services are there."""
         if name not in self._clients:
             self._clients[name] = [
                 self._node.create_client(ListParameters, f"{name}/list_parameters"),
@@ -238,7 +243,7 @@ class RecorderNode(TwinmatchNode):
         self._settings = NodeSettings(self, self._record)
         names = [self.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
         self._past = past = RecorderPast(names, self._keep)
-        self._judged = names
+        self._judged_topics = names
         self._doubts = Doubts(self, self._record)
         CatchingUp(
             self,
@@ -271,7 +276,7 @@ class RecorderNode(TwinmatchNode):
         if self.failure is None:
             self._doubts.look(math.inf)
             self._past.finish()
-            self.worker.put(self._leave)
+            self.worker.put(self._finish_session)
             if not self._finished.wait(self.LEAVE) and self.failure is None:
                 print(
                     "recorder: ended before everything was written; run twinmatch repair on the session",
@@ -289,7 +294,7 @@ class RecorderNode(TwinmatchNode):
             self.failed = error
             raise
 
-    def _leave(self) -> None:
+    def _finish_session(self) -> None:
         self._recording.close()
         self._finished.set()
 
@@ -327,13 +332,13 @@ class RecorderNode(TwinmatchNode):
         )
         take = partial(self._on_message, name)
         reader = self._following.subscribe(name, kind, publishers, take, event_callbacks=lost)
-        if name in self._judged:
+        if name in self._judged_topics:
             self._doubts.watch(name, reader)
 
     def _on_message(self, name: str, data: bytes) -> None:
         arrived = time.monotonic()
         self._arrivals[name].push(arrived)
-        if name == self._judged[0]:
+        if name == self._judged_topics[0]:
             self._doubts.sample(decode_sample(data).index, arrived)
         ros_now = self.get_clock().now().nanoseconds
         if self._past.take(name, data, ros_now):

@@ -84,13 +84,13 @@ def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
     nodes = Nodes()
     code: int | None = None
     try:
-        _check_files(arguments)
-        extra = _extra(arguments)
-        if {"-h", "--help"} & set(extra):
+        _check_parameter_files(arguments)
+        unknown = _unknown_arguments(arguments)
+        if {"-h", "--help"} & set(unknown):
             print(_help(kinds))
             return 0
-        if extra:
-            raise RunnerError(f"{_program(arguments)}: unknown argument {extra[0]}; see --help")
+        if unknown:
+            raise RunnerError(f"{_program(arguments)}: unknown argument {unknown[0]}; see --help")
         nodes.start(kinds, arguments)
         while code is None and not stop.is_set():
             code = nodes.spin_once()
@@ -221,12 +221,12 @@ def _on_signals(handler: Any) -> None:
         signal.signal(number, handler)
 
 
-def _extra(arguments: list[str]) -> list[str]:
+def _unknown_arguments(arguments: list[str]) -> list[str]:
     with _clear_errors(arguments):
         return list(remove_ros_args(arguments)[1:])
 
 
-def _check_files(arguments: list[str]) -> None:
+def _check_parameter_files(arguments: list[str]) -> None:
     """Read the parameter files before ROS does, which blocks on pipes and gives poor error messages."""
     for option, path in pairwise(arguments):
         if option == "--params-file":

@@ -110,7 +110,7 @@ class TwinNode(TwinmatchNode):
     """A node of the twin: its settings, and a worker for long computations."""
 
     AHEAD: Final = 5
-    """Queued items above which a virtual plant in step waits."""
+    """Queued messages above which a virtual plant in step waits."""
 
     FIXED = "a replay must give the recorded verdicts"
 
@@ -135,12 +135,12 @@ class TwinNode(TwinmatchNode):
         self.report_on()
 
     @abstractmethod
-    def work(self, item: Any) -> None:
-        """Work on one item; called in the worker's thread."""
+    def work(self, received: Any) -> None:
+        """Work on one message that was received and queued; called in the worker's thread."""
 
-    def put(self, item: Any) -> None:
-        """Queue an item for the worker."""
-        self.worker.put(item)
+    def put(self, received: Any) -> None:
+        """Queue a received message for the worker."""
+        self.worker.put(received)
 
     def publish(self, publisher: Publisher, message: Any) -> None:
         """Publish from the worker's thread; after a suspension, once the readers are connected again."""
@@ -198,7 +198,8 @@ class SampleNode(TwinNode):
 
     def _all_connected(self) -> bool:
         return all(
-            p.get_subscription_count() >= self.count_subscribers(p.topic_name) for p in self.publishers
+            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+            for publisher in self.publishers
         )
 
     def _on_sample(self, sample: Sample) -> None:

@@ -28,6 +28,8 @@ PATIENCE: Final = 45.0
 
 
 class _Task:
+    """What is called regularly in plant time; all times in ns."""
+
     def __init__(self, period: int, call: Callable[[], None]) -> None:
         self.due = 0
         self._period = period
@@ -53,8 +55,9 @@ class InStep(Background):
     BREATH: Final = 5_000_000
     """Plant time that passes while the board is waited for, per wait, ns."""
     SOON: Final = 0.002
+    """Interval at which unfinished work is checked again, wall s."""
     IDLE: Final = 0.2
-    """Intervals at which unfinished work is checked again, and a process without any, wall s."""
+    """Interval at which a process without unfinished work is checked again, wall s."""
 
     def __init__(self, node: Node, address: str) -> None:
         """Connect to the virtual rig at `address`.
@@ -68,12 +71,12 @@ class InStep(Background):
         self._news = threading.Event()  # since the last look
         self._now = 0
         self._tasks: list[_Task] = []
-        self._driving = False
-        self._sent = 0
-        self._applied: float = 0
-        self._until = 0
-        self._busy = False
-        self._queues: list[Callable[[], bool]] = []
+        self._driving = False  # whether this process commands the plant
+        self._sent = 0  # time of the newest command
+        self._applied: float = 0  # time up to which commands are applied
+        self._until = 0  # time up to which the plant may continue
+        self._busy = False  # whether tasks are running
+        self._queues: list[Callable[[], bool]] = []  # whether too much is queued
         node.create_subscription(Clock, "/clock", self._on_clock, NEWEST)
         self._client.start()
         self.start()
@@ -164,11 +167,12 @@ class InStep(Background):
             self._let(until, "drive")
         return True
 
-    def _let(self, until: int, driving: str) -> None:
+    def _let(self, until: int, word_if_driving: str) -> None:
+        """Let the plant continue to a time; a process that commands nothing always says `follow`."""
         with self._lock:
             if until > self._until:
                 self._until = until
-                self._client.say(driving if self._driving else "follow", until)
+                self._client.say(word_if_driving if self._driving else "follow", until)
 
 
 FOREVER: Final = math.inf

@@ -41,8 +41,10 @@ _DEADLINE = "Zero after this time without a command from this node, by the wall 
 
 
 SECOND = 0.6
-"""Power of heater 2 by that of heater 1: 0.75 as published, 0.55 of a recorded kit, 0.5 by the firmware."""
+"""Power of heater 2 as a share of that of heater 1. As published it is 0.75, of a recorded kit 0.55, by the
+firmware 0.5."""
 _SWAPPED = {"heating": "second_heating", "second_heating": "heating"}
+"""Names of the heaters' powers as heater 2 sees the kit."""
 MAX_SILENCE = 0.3
 """Longest time between two commands to a kit, wall s: well within the deadline of the process at its port."""
 
@@ -230,7 +232,11 @@ class TCLabBridge(GatedNode):
                 self.end(FaultKind.TWIN, f"{name} is read through, and the twin reports {verdict.fault}")
 
     def _taken(self) -> Sequence[float]:
-        """What the law takes in place of the temperatures; nothing passes where nobody knows one."""
+        """What the law takes in place of the temperatures, NaN for those that are believed; empty without
+        stand-ins.
+
+        The drive ends where neither a sensor nor an estimate is known well enough.
+        """
         if not self._stand_ins:
             return ()
         values = dict.fromkeys(self._plant.outputs, NAN)

@@ -118,7 +118,7 @@ def fields_of(kind: str) -> Mapping[str, Field]:
 
 
 def _field(text: str) -> Field:
-    """From ROS's notation of a field type: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
+    """A field from ROS's notation of its type: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
     match = _KIND.match(text)
     base = match["base"] if match else text
     if "/" in base:
@@ -234,14 +234,14 @@ class ForeignTopics:
 
     @property
     def lost(self) -> str:
-        """There is no connection that could be lost, only publishers."""
+        """Why the connection is lost; always empty, as topics have publishers and no connection."""
         return ""
 
     def poll(self) -> None:
         """Messages are handed on as they arrive, by the node's executor."""
 
     def trouble(self, topic: str) -> str:
-        """That it has no publisher."""
+        """What is wrong with a topic: that it has no publisher; empty if it has one."""
         if self._node.count_publishers(self._names[topic]):
             return ""
         return f"{topic} no longer has a publisher" if topic in self.kinds else f"no publisher on {topic}"
@@ -274,14 +274,19 @@ class ForeignTopics:
 
     def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
         kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
-        ours = [publisher for publisher in publishers if publisher.topic_type == kind] or publishers
+        of_kind = [publisher for publisher in publishers if publisher.topic_type == kind] or publishers
         try:
-            self._following[topic].subscribe(name, kind, ours, partial(self._take, topic))
+            self._following[topic].subscribe(name, kind, of_kind, partial(self._take, topic))
         except MessageTypeError as error:
             raise SamplingError(f"{topic}: {error}") from error
         self.kinds[topic] = kind
 
     def _kind(self, topic: str, name: str, kinds: set[str]) -> str:
+        """The type of a topic: as configured, or else the only one that is published.
+
+        Raises:
+            SamplingError: it is published with several types.
+        """
         given_kind = self._types.get(name)
         if given_kind is not None:
             return given_kind

@@ -52,18 +52,18 @@ class TwinSimulatorNode(SampleNode):
         if not self._stream.begun:
             self._published_before = answer.states_heard
 
-    def work(self, item: Sample | comparing.ForecastScore) -> None:
+    def work(self, received: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
-        if isinstance(item, Sample):
-            state = self._mirror.push(item)
+        if isinstance(received, Sample):
+            state = self._mirror.push(received)
             self._states_made += 1
             if self._states_made > self._published_before:
                 message = state_message(state, self._leader, self.settings.plant.states)
                 self.publish(self._publisher, message)
             return
-        self._mirror.parameters = item.parameters
-        self._leader = item.name
-        self.health.set("leader", item.name)
+        self._mirror.parameters = received.parameters
+        self._leader = received.name
+        self.health.set("leader", received.name)
 
 
 MAX_WAITING = 20
@@ -88,9 +88,9 @@ class MatcherNode(TwinNode):
         super().open()
         self.create_subscription(MatchRequest, "twin/match_request", self._on_request, EVERYTHING)
 
-    def work(self, item: tuple[twin.MatchRequest, int]) -> None:
+    def work(self, received: tuple[twin.MatchRequest, int]) -> None:
         """Compute the match and publish it, with the stamp (ns) of its request."""
-        request, stamp = item
+        request, stamp = received
         try:
             report = carry_out(request, self._informed)
         finally:
@@ -100,9 +100,9 @@ class MatcherNode(TwinNode):
         self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
         self.publish(self._publisher, message_of(report, stamp))
 
-    def _on_request(self, item: tuple[twin.MatchRequest, int]) -> None:
+    def _on_request(self, received: tuple[twin.MatchRequest, int]) -> None:
         self.health.say("working")
-        request, _ = item
+        request, _ = received
         name = (request.sample, request.window.first)
         with self._lock:
             if name in self._in_progress:
@@ -111,4 +111,4 @@ class MatcherNode(TwinNode):
                 self.health.count("left to be repeated")
                 return
             self._in_progress.add(name)
-        self.put(item)
+        self.put(received)

@@ -84,7 +84,7 @@ def channel_health(
     for count, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind
-        for finding in monitor.found:
+        for finding in monitor.suspects:
             if finding.evidence > 0.0 and monitor.shows(finding):
                 called = monitor.sentences.called(finding.cause)
                 course.setdefault(called, []).append((sample.index, finding.evidence))

@@ -43,7 +43,7 @@ class Asking(TwinmatchNode):
     """Asks a service of the running twin, and prints what comes of it."""
 
     SERVICE: ClassVar[tuple[Any, str]]
-    """Type and name."""
+    """Type and name of the service."""
     SERVER: ClassVar[str] = TWIN
     """The node that serves."""
 
@@ -55,9 +55,9 @@ class Asking(TwinmatchNode):
         self._reported: dict[str, float] = {}
         """When each node reported last, wall s."""
         self._publishers: dict[str, frozenset[bytes]] = {}
-        """Those of each node's topic when it was first needed."""
+        """The publishers of each node's topic when that node was first needed."""
         self.word = secrets.token_hex(8)
-        """By which what is said of this request is known."""
+        """The word that every report on this request carries."""
         self._service = self.create_client(*self.SERVICE)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
         self.wall_timer(0.25, self._look)
@@ -65,7 +65,7 @@ class Asking(TwinmatchNode):
     @property
     @abstractmethod
     def request(self) -> Any:
-        """What is asked first."""
+        """The first request to the service."""
 
     @property
     def needed(self) -> str:
@@ -169,7 +169,10 @@ class ExperimentAsking(Asking):
 
     @property
     def needed(self) -> str:
-        """The twin; but one whose samples have stopped says nothing of the experiment any longer."""
+        """The twin; once the controller is silent that follows the course, the controller.
+
+        Without its samples the twin says nothing of the experiment.
+        """
         silent = time.monotonic() - self._reported.get(CONTROLLER, self._since)
         return CONTROLLER if self._follows and silent > PATIENCE else TWIN
 
@@ -214,7 +217,7 @@ class ProfileAsking(Asking):
 
     @property
     def request(self) -> SetParametersAtomically.Request:
-        """No course any longer."""
+        """The request that the controller follows no course."""
         not_followed = Parameter("course.followed", value=False).to_parameter_msg()
         return SetParametersAtomically.Request(parameters=[not_followed])
 
@@ -244,14 +247,14 @@ class LawAsking(Asking):
         self._drives: TrialPhase | None = None
         """What the controller has said last of a law on trial, also of one that others asked for."""
         self._begun = False
-        """Whether it has said anything of this one."""
+        """Whether the controller has reported on the law of this request."""
         self.create_subscription(messages.LawReport, "twin/law", self._on_twin, RELIABLE)
         self.create_subscription(messages.LawReport, "plant/law", self._on_controller, LATCHED)
         super().open()
 
     @property
     def request(self) -> TryLaw.Request:
-        """The question alone."""
+        """The question whether the law may be run, without running it."""
         return TryLaw.Request(law=self.values["law"], request=self.word)
 
     @property
@@ -317,11 +320,11 @@ class LawBack(Asking):
 
     @property
     def request(self) -> ApplyLaw.Request:
-        """The law before."""
+        """The request for the law before the one on trial."""
         return ApplyLaw.Request(back=True)
 
     def answered(self, message: str) -> None:  # noqa: ARG002
-        """Done."""
+        """End with success."""
         self.end(0, "the law before drives")
 
 

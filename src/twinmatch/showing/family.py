@@ -39,8 +39,9 @@ class Member:
     @cached_property
     def response(self) -> Window:
         """Response of its twin to that window's set-point, or input in open loop, with sensor noise."""
-        s = self.settings
-        return twin_response(self.score.parameters, self.window, s.law, s.sensor, s.seed + self.window.first)
+        settings = self.settings
+        seed = settings.seed + self.window.first
+        return twin_response(self.score.parameters, self.window, settings.law, settings.sensor, seed)
 
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
@@ -77,10 +78,10 @@ class Member:
         level = operating_level(measured, driven=of_u is None, lead=model.lead)
         r, y, u = deviations(measured, level)
         output = of_y.simulate(u if of_u is None else r, outputs=y[: len(of_y.F)]) + level.output
-        entry = measured.input
+        simulated_input = measured.input
         if of_u is not None:
-            entry = of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
-        return replace(measured, outputs=output, inputs=entry)
+            simulated_input = of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
+        return replace(measured, outputs=output, inputs=simulated_input)
 
 
 def family(
@@ -128,7 +129,7 @@ class Interval(NamedTuple):
     """A 95 % interval, in the parameter's own unit."""
 
     low: float
-    """Minus infinity where unbounded, NaN where not known."""
+    """Lower end: minus infinity where it is unbounded, NaN where it is not known."""
     high: float
     error: float
     """Standard error."""
@@ -164,7 +165,7 @@ class FigureColumn(NamedTuple):
     """One figure of a candidate or an order, as every display heads, writes and explains it."""
 
     attribute: str
-    """Of `CandidateScore` or `Criteria`."""
+    """Name of the attribute of `CandidateScore` or `Criteria` that holds the figure."""
     name: str
     unit: str
     """Empty: a plain number."""
@@ -234,7 +235,7 @@ OUTPUTS: tuple[tuple[str, str], ...] = (
 """Attribute of `OrderScore` and its name in tables."""
 
 _DRIVEN: tuple[tuple[str, str], ...] = (("y", "output y/u"),)
-"""The same where the loop is not known."""
+"""Attribute and name of the only output where the loop is not known."""
 
 
 def outputs_of(orders: Sequence[OrderScore]) -> tuple[tuple[str, str], ...]:
@@ -290,7 +291,7 @@ def _is_computed(criterion: FigureColumn, orders: Sequence[OrderScore]) -> bool:
 
 
 def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> list[FigureColumn]:
-    """The same, for output and input together: MDL then has the sum of their squared units."""
+    """These criteria for output and input together: MDL then has the sum of their squared units."""
     plant = candidate.parameters.model.plant
     y, u = (declared.unit or declared.name for declared in (plant.output, plant.drive))
     unit = f"{y}²+{u}²" if len(outputs_of(candidate.orders)) > 1 else f"{y}²"

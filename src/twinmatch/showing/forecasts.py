@@ -117,13 +117,13 @@ def _parts(forecast: Forecast) -> list[Forecast]:
 
 def _part(forecast: Forecast, samples: slice) -> Forecast:
     output = forecast.output
-    entry = forecast.input
+    input_band = forecast.input
     return replace(
         forecast,
         time=forecast.time[samples],
         references=forecast.reference[samples],
         outputs=(Band(output.mean[samples], output.low[samples], output.high[samples]),),
-        inputs=(Band(entry.mean[samples], entry.low[samples], entry.high[samples]),),
+        inputs=(Band(input_band.mean[samples], input_band.low[samples], input_band.high[samples]),),
     )
 
 

@@ -24,7 +24,8 @@ STYLES: Final = {
 """rich style of each level."""
 
 _WIDTHS: Final = (6, 8, 7, 5, 5, 7, 9, 6, 6, 8, 0)
-"""Of the columns of `row` but its reason; a line with the longest name of two parts has 120 characters."""
+"""Widths of the columns of `row` without its reason, so that a line with the longest name of two parts has
+120 characters."""
 _INDENT = 8
 
 

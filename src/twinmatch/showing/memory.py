@@ -32,14 +32,14 @@ class RememberedRig(NamedTuple):
     plant: type[Plant]
     rig: str
     structure: str
-    """In which the sessions are compared; empty if there are none with today's equations."""
+    """Structure in which the sessions are compared; empty if there is no session with today's equations."""
     lessons: list[Lesson]
     """All of this plant and rig, oldest first."""
     report: MemoryReport
 
     @property
     def outdated(self) -> int:
-        """Number of sessions of which there are only lessons on other equations."""
+        """Number of sessions that were remembered only with other equations than today's."""
         current = current_lessons(self.lessons, self.plant)
         return len({lesson.session for lesson in self.lessons} - {lesson.session for lesson in current})
 

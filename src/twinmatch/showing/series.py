@@ -25,7 +25,7 @@ class Comparison:
     """Outputs of the driven twin, driven by the measured input, shape (N, o)."""
 
     def alone(self, k: int) -> Comparison:
-        """Of the k-th output and input; of fewer the last."""
+        """The comparison of the k-th output and input alone; where there are fewer, of the last."""
         closed = self.closed and self.closed.alone(k)
         return Comparison(self.window.alone(k), closed, column_of(self.driven, k))
 
@@ -36,7 +36,7 @@ class Comparison:
 
     @property
     def received(self) -> FloatArray:
-        """Those of the samples that were received, which alone have residuals."""
+        """Times of the samples that were received, s: only these have residuals."""
         return self.window.received(self.time)
 
     @property
@@ -160,12 +160,12 @@ def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     whole = next(part for part in stretches if part.first <= origin <= part.last)
     window = whole.part(max(whole.first, origin - before), min(whole.last, origin + size))
     levels = window.reference
-    asked = forecast.reference
+    assumed_levels = forecast.reference
     if not forecast.closed:
         levels = window.input
-        asked = forecast.input.mean
+        assumed_levels = forecast.input.mean
     ahead = levels[origin + 1 - window.first :]
-    differing = np.flatnonzero(ahead != asked[: ahead.size])
+    differing = np.flatnonzero(ahead != assumed_levels[: ahead.size])
     count = int(differing[0]) if differing.size else ahead.size
     measured = window.part(origin + 1, origin + count) if count else None
     return Fan(forecast, window.part(window.first, origin), measured)

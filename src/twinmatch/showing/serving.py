@@ -74,7 +74,7 @@ class Hosts:
 
     @classmethod
     def of(cls, address: str, named: Iterable[str] = ()) -> Hosts:
-        """Those of a server on this address, and those given."""
+        """The names of a server on this address, and those that the user gave."""
         closed = is_loopback(address)
         names = {} if closed else {address.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
         return cls(frozenset(names), frozenset(name.lower() for name in named), not closed)

@@ -34,7 +34,7 @@ LEVELS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
     }
 )
 ORDERS: Final = ("#56B4E9", "#0072B2", "#E69F00", "#5C5C5C")
-"""Of the Box–Jenkins orders, lowest first."""
+"""Colours of the Box–Jenkins orders, lowest first."""
 FAMILY_MAP: Final = "cividis"
 """Colour map over the candidates of the family, coldest operating point first."""
 MATRIX_MAP: Final = "cividis_r"

@@ -87,7 +87,7 @@ class Screen:
         self._matches: list[MatchReport] = []
         self._verdict: Verdict | None = None
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
-        self._next = 0.0
+        self._next = 0.0  # when to draw again
         self._over = False
         self._compiled = ""
         self._live = Live(
@@ -156,6 +156,7 @@ class Screen:
             yield Segment.line()
 
     def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
+        """What stands above the events: progress, verdict, and the tables of signals and candidates."""
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
         if self._compiled:
             shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
@@ -247,7 +248,7 @@ WellDetermined = Mapping[tuple[int, int], Sequence[str]]
 
 
 _FREE: Final = "parameters"
-_KEPT: Final = (
+_BY_PRIORITY: Final = (
     *("candidate", "order", "Σ ν-gap", "P(nominal)", _FREE, "gain", "at", "margin", "90 % of Σ", "nAIC"),
     *("BIC", "MDL", "ν-gap now"),
 )
@@ -270,7 +271,7 @@ class FamilyColumn(NamedTuple):
     @property
     def priority(self) -> int:
         """Its place among the columns that are kept."""
-        return _KEPT.index(self.name if self.name in _KEPT else _FREE)
+        return _BY_PRIORITY.index(self.name if self.name in _BY_PRIORITY else _FREE)
 
 
 def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Table:
@@ -341,7 +342,9 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
     columns += [_parameter(model.plant, name) for name in model.structure.free]
     if verdict.modelled:
         columns.append(FamilyColumn("order", "", lambda c, _: c.chosen_order))
-        columns += map(of_both, (c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT))
+        columns += map(
+            of_both, (c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _BY_PRIORITY)
+        )
     return [*columns, *map(figure, FIGURES)]
 
 

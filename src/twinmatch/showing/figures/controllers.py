@@ -82,6 +82,7 @@ def _draw_run(axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray
 
 
 def _draw(axes: Axes, answer: ControllerAnswer, kind: str, place: int) -> None:
+    """The bands of both laws for one signal; `kind` is `outputs` or `inputs`."""
     if answer.running is not None:
         _band(axes, answer.time, getattr(answer.running, kind)[:, :, place], PLANT, "law that ran")
     _band(axes, answer.time, getattr(answer.courses, kind)[:, :, place], CLOSED, "law that is tried")

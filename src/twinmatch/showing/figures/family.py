@@ -147,11 +147,11 @@ def _is_dark(image: Any, value: float) -> bool:
 
 @styled
 def draw_parameters(
-    matches: Sequence[MatchReport], joined: Collection[int], nominal: Match | None, period: float
+    matches: Sequence[MatchReport], admitted_at: Collection[int], nominal: Match | None, period: float
 ) -> Figure:
     """Value and 95 % interval of every parameter over the session; refused matches hollow.
 
-    `joined` holds the samples of the matches admitted to the family.
+    `admitted_at` holds the samples of the matches admitted to the family.
     """
     fitted = [m for m in matches if np.isfinite(m.match.chi2)]
     names = fitted[0].match.free if fitted else ()
@@ -162,8 +162,8 @@ def draw_parameters(
     plant = fitted[0].match.parameters.model.plant
     axes = stack(figure, [1.0] * len(names))
     groups = {
-        "refused": [m for m in fitted if m.sample not in joined],
-        "admitted": [m for m in fitted if m.sample in joined and m.match is not nominal],
+        "refused": [m for m in fitted if m.sample not in admitted_at],
+        "admitted": [m for m in fitted if m.sample in admitted_at and m.match is not nominal],
         "nominal": [m for m in fitted if m.match is nominal],
     }
     for parameter_axes, name in zip(axes, names, strict=True):
@@ -231,7 +231,7 @@ def draw_responses(members: Sequence[Member]) -> Figure:
 
 
 def _draw_member(upper: Axes, control: Axes, member: Member, k: int) -> None:
-    """The k-th output and input."""
+    """The k-th output and input of a candidate's window, with the responses of its twin and its model."""
     window = member.window.alone(k)
     order = member.score.chosen_order
     twin = member.quiet_twin.alone(k)

@@ -71,6 +71,7 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
 
 
 def _draw(output: Axes, control: Axes, fan: Fan) -> None:
+    """Output and input of one forecast, with what was measured before and after its sample."""
     forecast = fan.forecast
     past = fan.past
     measured = fan.measured
@@ -117,6 +118,7 @@ _LOOKS: Final = {
     CONSTANT: (DRIVEN, "d"),
     HINDSIGHT: (MODEL, "*"),
 }
+"""Colours and markers of the twins."""
 _PEERS: Final = ((SET_POINT, "v"), ("#56B4E9", "D"), ("#E69F00", "P"))
 """Colours and markers of the peers, in order."""
 
@@ -149,6 +151,7 @@ def draw_backtest(backtest: Backtest) -> Figure:
 
 
 def _looks(cards: Sequence[Card]) -> dict[str, tuple[str, str]]:
+    """Colour and marker of each forecaster."""
     peers = cycle(_PEERS)
     names = dict.fromkeys(card.who for card in cards)
     return {name: _LOOKS.get(name) or next(peers) for name in names}
@@ -219,10 +222,10 @@ def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
 
 def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool) -> None:
     """Draw a forecast of the leader, mean and band, and the output's error within the band."""
-    output, error_axes, entry = axes
+    output, error_axes, control = axes
     hidden = "" if first else "_"
     time = forecast.sample * backtest.period + forecast.time
-    shown = ((output, forecast.output), (entry, forecast.input))
+    shown = ((output, forecast.output), (control, forecast.input))
     for signal_axes, band in shown if forecast.closed else shown[:1]:
         _fill(signal_axes, time, band, label=f"{hidden}band")
         signal_axes.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
@@ -230,12 +233,13 @@ def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest,
     _fill(error_axes, time, band, around=band.mean)
     for window in backtest.came:
         if window.first <= forecast.sample <= window.last - time.size:
-            came = window.part(forecast.sample + 1, forecast.sample + time.size).output
-            error_axes.plot(time, came - band.mean, color=PLANT, lw=0.8)
+            measured = window.part(forecast.sample + 1, forecast.sample + time.size).output
+            error_axes.plot(time, measured - band.mean, color=PLANT, lw=0.8)
 
 
 def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
-    output, error_axes, entry = axes
+    """Limits, title, labels and legend of the session's charts."""
+    output, error_axes, control = axes
     words = signal_names(backtest.plant)
     if backtest.shown:
         begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
@@ -246,8 +250,8 @@ def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
     output.set_ylabel(words.output.label)
     error_axes.set_ylabel(with_unit("measured − forecast", words.output.unit))
     error_axes.axhline(0, color=SET_POINT, lw=0.6)
-    entry.set_ylabel(words.input.label)
-    entry.set_xlabel("time since the session began / s")
+    control.set_ylabel(words.input.label)
+    control.set_xlabel("time since the session began / s")
     for upper in (output, error_axes):
         upper.tick_params(labelbottom=False)
     if output.get_legend_handles_labels()[0]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NINETY = 1.645
+"""Half width of a normal distribution's band of nine in ten, standard deviations."""
 
 
 @dataclass(frozen=True)

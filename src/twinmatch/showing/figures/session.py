@@ -219,13 +219,13 @@ def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: 
 
 
 def _draw_matches(
-    axes: Axes, matches: Sequence[MatchReport], joined: Collection[int], period: float, unit: str
+    axes: Axes, matches: Sequence[MatchReport], admitted_at: Collection[int], period: float, unit: str
 ) -> None:
-    for inside, marker, level in ((True, "o", TrustLevel.TRUSTED), (False, "x", TrustLevel.FAULT)):
-        times = [m.sample * period for m in matches if (m.sample in joined) is inside]
-        axes.plot(times, [float(inside)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
+    for is_admitted, marker, level in ((True, "o", TrustLevel.TRUSTED), (False, "x", TrustLevel.FAULT)):
+        times = [m.sample * period for m in matches if (m.sample in admitted_at) is is_admitted]
+        axes.plot(times, [float(is_admitted)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
     for m in matches:
-        point = (m.sample * period, float(m.sample in joined))
+        point = (m.sample * period, float(m.sample in admitted_at))
         place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
         axes.annotate(point_text(m.operating_point), point, (0, 5), **place)
     axes.set_ylim(-0.6, 2.0)

@@ -56,6 +56,7 @@ class _Last(NamedTuple):
     channel: Channel
     data: bytes
     at: int
+    """Time at which it was received or sent again, ns."""
 
 
 class GraphServer(ServerListener):
@@ -137,14 +138,14 @@ class GraphServer(ServerListener):
         return end_in_order(self._server.stop, self._relay.close)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Send a viewer the newest message of a channel; called by a thread of the SDK, as the next."""
+        """Send a viewer the newest message of a channel; called by a thread of the SDK."""
         self._viewers.setdefault(client.id, set()).add(channel.id)
         last = self._last.get(channel.id)
         if last is not None:
             last.channel.log(last.data, log_time=last.at, sink_id=client.id)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note that a viewer has unsubscribed from a channel."""
+        """Note that a viewer has unsubscribed from a channel; called by a thread of the SDK."""
         self._viewers.get(client.id, set()).discard(channel.id)
 
 
@@ -297,6 +298,8 @@ class Foxglove(TwinmatchNode):
         self._server.send(name, data, self._time.now)
 
     def _reset_if(self, changed: bool) -> None:
+        """Clear the viewers if the kind of time has changed; the newest messages are sent again after
+        that."""
         if changed:
             self._server.reset(self._time.now)
             self._to_repeat = True

@@ -41,20 +41,22 @@ _AHEAD: Final = _Ahead()
 
 TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
 TRUST = "trust"
+"""The row of the time line with the trust level."""
 LANES = {
     **dict.fromkeys((EventKind.LEADER, EventKind.NOMINAL, EventKind.LEVEL), TRUST),
     **dict.fromkeys((EventKind.ADMITTED, EventKind.REFUSED, EventKind.DISMISSED), "matches"),
     EventKind.FAULT: "faults",
     EventKind.NODE: "nodes",
 }
-"""Rows of the time line."""
+"""The row of the time line of each kind of event."""
 FORECAST_COLUMNS = (
     *("t", "reference"),
     *(f"{signal}{edge}" for signal in ("output", "input") for edge in ("", "_low", "_high")),
 )
-"""Of one loop."""
+"""Columns of a forecast of one loop."""
 
 Derive = Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
+"""Computes further columns from those of a table."""
 
 
 def stride_for(samples: int) -> int:
@@ -71,17 +73,22 @@ class ChartFeed:
         self._derive = derive
         names = list(self._columns(table.since(0)[0], 1.0))
         self.source = ColumnDataSource({"t": [], **{name: [] for name in names}})
-        self._row = 0
-        self._shown: tuple[int, float, int] | None = None
+        self._row = 0  # of the table, from which on nothing has been sent
+        self._shown: tuple[int, float, int] | None = None  # epoch, period and span of what was sent
 
     def update(self, period: float, span: int) -> None:
-        """Send the new ones of the newest `span` samples, or all of them if epoch, period or span changed."""
+        """Send the samples that are new since the last call.
+
+        If the table was cleared, or `period` (s) or `span` changed, all of the newest `span` samples are
+        sent.
+        """
         stride = stride_for(span)
         shown = (self._table.epoch, period, span)
         points = span if stride == 1 else 2 * math.ceil(span / stride)
         redraw = shown != self._shown
         if redraw:
-            self._row = max(0, self._table.count // stride * stride - math.ceil(span / stride) * stride)
+            full_groups = self._table.count // stride
+            self._row = max(0, full_groups * stride - math.ceil(span / stride) * stride)
         drawn, self._row = self._table.since(self._row, stride)
         columns = self._columns(drawn, period)
         if redraw:
@@ -112,12 +119,12 @@ class ForecastBands:
         self.lines = []
         """The mean line of each forecast; the time axis covers them."""
         for source, colour, name in ((self._forecast, CLOSED, "forecast"), (self._what_if, MODEL, "what if")):
-            drawn = _draw_band(output, "output", source, colour)
+            of_output = _draw_band(output, "output", source, colour)
             of_input = _draw_band(control, "input", source, colour)
-            asked = _step(output, "reference", source, colour, width=1, dash=[2, 3])
-            for chart, parts in ((output, [*drawn, asked]), (control, of_input)):
+            set_point = _step(output, "reference", source, colour, width=1, dash=[2, 3])
+            for chart, parts in ((output, [*of_output, set_point]), (control, of_input)):
                 chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
-            self.lines.append(drawn[-1])
+            self.lines.append(of_output[-1])
 
     def update(self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float) -> None:
         """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
@@ -136,15 +143,16 @@ def _draw_band(chart: Any, signal: str, source: ColumnDataSource, colour: str) -
 
 
 def _columns(forecast: Forecast | None, period: float, most: float) -> dict[str, Any]:
+    """The columns of a forecast of one loop up to `most` seconds ahead; empty ones without a forecast."""
     if forecast is None:
         return {name: [] for name in FORECAST_COLUMNS}
-    near = forecast.time <= most * (1 + 1e-9)
+    is_drawn = forecast.time <= most * (1 + 1e-9)
     bands = [b for band in (forecast.output, forecast.input) for b in (band.mean, band.low, band.high)]
     columns = (forecast.sample * period + forecast.time, forecast.reference, *bands)
-    return {name: values[near] for name, values in zip(FORECAST_COLUMNS, columns, strict=True)}
+    return {name: values[is_drawn] for name, values in zip(FORECAST_COLUMNS, columns, strict=True)}
 
 
-_NARROW = """
+_FIT_TO_NARROW = """
 if (window.innerWidth < 600) {
     for (const legend of legends) legend.ncols = 2
     axes.ticker.desired_num_ticks = 3
@@ -171,56 +179,57 @@ class LoopCharts:
         """Draw plant and twins over a time axis; `loop` names set-point, output and input."""
         self._time = time
         self._plant, self._twin = sources
-        _, self._output_of, self._input_of = loop
+        _, self._output_signal, self._input_signal = loop
         self._k = k
-        self.output = self._output()
-        self.control = self._control()
+        self.output = self._draw_output()
+        self.control = self._draw_control()
         self.forecasts = ForecastBands(self.output, self.control)
-        self.residual = self._residual()
-        self.control_residual = self._control_residual()
+        self.residual = self._draw_residual()
+        self.control_residual = self._draw_control_residual()
         self.figures = [self.output, self.control, self.residual, self.control_residual]
 
     def _of(self, column: str) -> str:
+        """The name of a column of this loop."""
         return nth(column, self._k)
 
     def _figure(self, name: str, height: int, label: str) -> Any:
         return _figure(nth(name, self._k), height, label, self._time)
 
-    def _output(self) -> Any:
-        chart = self._figure("output", 320, self._output_of.label)
+    def _draw_output(self) -> Any:
+        chart = self._figure("output", 320, self._output_signal.label)
         column = self._of
         self.line = chart.line("t", column("output"), source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", column("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
-        asked = _step(chart, column("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
-        _legend(chart, {"plant": self.line, "closed-loop twin": closed, "set-point": asked})
-        _hover_value(chart, self.line, "plant", column("output"), self._output_of)
+        set_point = _step(chart, column("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
+        _legend(chart, {"plant": self.line, "closed-loop twin": closed, "set-point": set_point})
+        _hover_value(chart, self.line, "plant", column("output"), self._output_signal)
         return chart
 
-    def _control(self) -> Any:
-        chart = self._figure("control", 210, self._input_of.label)
+    def _draw_control(self) -> Any:
+        chart = self._figure("control", 210, self._input_signal.label)
         column = self._of
         plant = _step(chart, column("input"), self._plant, PLANT, width=1.6)
         closed = _step(chart, column("closed_input"), self._twin, CLOSED, width=1.2)
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover_value(chart, plant, "plant", column("input"), self._input_of)
+        _hover_value(chart, plant, "plant", column("input"), self._input_signal)
         return chart
 
-    def _residual(self) -> Any:
-        chart, band = self._banded("residual", self._output_of, "driven_rms_y", DRIVEN, 0.18)
+    def _draw_residual(self) -> Any:
+        chart, band = self._banded("residual", self._output_signal, "driven_rms_y", DRIVEN, 0.18)
         column = self._of("driven_residual_y")
         driven = chart.line("t", column, source=self._twin, color=DRIVEN, line_width=1.4)
         of_closed = self._of("closed_residual_y")
         closed = chart.line("t", of_closed, source=self._twin, color=CLOSED, line_width=1.1)
         _legend(chart, {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed})
-        _hover_value(chart, driven, "plant − driven twin", column, self._output_of)
+        _hover_value(chart, driven, "plant − driven twin", column, self._output_signal)
         return chart
 
-    def _control_residual(self) -> Any:
-        chart, band = self._banded("control_residual", self._input_of, "closed_rms_u", CLOSED, 0.15)
+    def _draw_control_residual(self) -> Any:
+        chart, band = self._banded("control_residual", self._input_signal, "closed_rms_u", CLOSED, 0.15)
         column = self._of("closed_residual_u")
         line = chart.line("t", column, source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
-        _hover_value(chart, line, "residual", column, self._input_of)
+        _hover_value(chart, line, "residual", column, self._input_signal)
         return chart
 
     def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
@@ -246,7 +255,7 @@ class TimeCharts:
         self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
         names = ("t", "lane", "colour", "shape", "title", "text")
         self._events = ColumnDataSource({name: [] for name in names})
-        self.happened = self._happened()
+        self.happened = self._draw_happened()
 
     @property
     def rows(self) -> list[list[str]]:
@@ -279,7 +288,7 @@ class TimeCharts:
     def fit_to_narrow(self) -> CustomJS:
         """In the browser: on a narrow screen legends use more lines, and the time axis fewer ticks."""
         legends = [chart.legend[0] for chart in self.figures if chart.legend]
-        return CustomJS(args={"legends": legends, "axes": self.happened.xaxis[0]}, code=_NARROW)
+        return CustomJS(args={"legends": legends, "axes": self.happened.xaxis[0]}, code=_FIT_TO_NARROW)
 
     def span(self, seconds: float) -> None:
         """Show the newest `seconds`."""
@@ -295,17 +304,18 @@ class TimeCharts:
             "colour": [LEVELS[s.level] for s in shown],
             "level": [s.level.value for s in shown],
         }
-        placed = [(t, e) for e in events if (t := e.time(period)) is not None]
+        dated = [event for event in events if event.time(period) is not None]
         self._events.data = {
-            "t": [t for t, _ in placed],
-            "lane": [LANES[e.kind] for _, e in placed],
-            "colour": [MARKS[e.mark] for _, e in placed],
-            "shape": [SHAPES[e.mark] for _, e in placed],
-            "title": [e.title for _, e in placed],
-            "text": [e.why for _, e in placed],
+            "t": [event.time(period) for event in dated],
+            "lane": [LANES[event.kind] for event in dated],
+            "colour": [MARKS[event.mark] for event in dated],
+            "shape": [SHAPES[event.mark] for event in dated],
+            "title": [event.title for event in dated],
+            "text": [event.why for event in dated],
         }
 
-    def _happened(self) -> Any:
+    def _draw_happened(self) -> Any:
+        """The time line: strips of trust levels, and a mark for each event."""
         lanes = FactorRange(factors=list(reversed(dict.fromkeys(LANES.values()))))
         chart = _figure("happened", 185, "", self.time, y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"

@@ -57,7 +57,7 @@ class PlayerState:
 
 
 def kind_of(error: str) -> str:
-    """An error without its numbers: one that comes again with others is the same."""
+    """An error without its numbers: the same error with other numbers is of the same kind."""
     return _DIGITS.sub("", error)
 
 
@@ -70,7 +70,7 @@ class NodeReports:
     ended: PlayerState | None = None
     """The player that has reached the end of its session, until another session is seen."""
     ended_at: float = 0.0
-    """When that came, or the newest sample since."""
+    """When that report was received, or the newest sample since, in seconds of the receiver's clock."""
     _errors: dict[str, str] = field(default_factory=dict)
     """The error each node reports now, without its figures."""
 
@@ -101,18 +101,22 @@ class NodeReports:
         """
         if self.ended is not None:
             return
-        for name in [n for n, s in self.reports.items() if now - s.at > _SILENT.forget]:
+        gone = [name for name, report in self.reports.items() if now - report.at > _SILENT.forget]
+        for name in gone:
             del self.reports[name]
             self._errors.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
             place, _, whole = self.player.position.partition(" of ")
-            over = place == whole  # nothing was left to play, in case its last report was lost
-            self._take_player(self.player, now, over=over)
+            # Its last report may have been lost: it had ended if nothing was left to play.
+            self._take_player(self.player, now, over=place == whole)
             self.player = None
 
     def begin(self, now: float) -> None:
-        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came: a
-        page that is behind takes the last samples without a pause, however long it needs for them."""
+        """Note a sample, which ends the state "replay ended" unless it belongs to that replay.
+
+        A page that is behind takes the last samples of a replay after the report of its end, without a pause
+        between them, however long it needs for all of them.
+        """
         if now - self.ended_at > _SILENT.patience:
             self.ended = None
         self.ended_at = now
@@ -133,6 +137,7 @@ class NodeReports:
         return min(self.reports[name].level, STALE)
 
     def _take_player(self, player: PlayerState, now: float, *, over: bool) -> None:
+        """Keep a player as the one that plays, or, if its session is `over`, as the one that has ended."""
         if not over:
             self.player = player
             self.ended = None

@@ -19,6 +19,7 @@ from twinmatch.showing.quantities import number, span_text
 from twinmatch.showing.style import TEXT
 
 SUM = "Σ"
+"""Name of the row with the sum of each column."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,10 @@ class _MatrixSize:
 _SIZE: Final = _MatrixSize()
 
 
-_EVEN = 0.179
+_EQUAL_CONTRAST = 0.179
 """Luminance at which black and white text have the same contrast, 4.6."""
 _PALETTE = list(reversed(Cividis256))
-_NAMES = ("column", "row", "gap", "shown", "interval", "ink", "pair")
+_COLUMNS = ("column", "row", "gap", "shown", "interval", "ink", "pair")
 
 
 class GapMatrix:
@@ -47,8 +48,8 @@ class GapMatrix:
 
     def __init__(self) -> None:
         """Start without candidates."""
-        self._cells = ColumnDataSource({name: [] for name in _NAMES})
-        self._sums = ColumnDataSource({name: [] for name in (*_NAMES, "style")})
+        self._cells = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._sums = ColumnDataSource({name: [] for name in (*_COLUMNS, "style")})
         self._colours = LinearColorMapper(palette=_PALETTE, low=0.0, high=1.0)
         self.figure = self._draw()
 
@@ -127,7 +128,7 @@ def _ink(share: float) -> str:
     colour = _PALETTE[min(len(_PALETTE) - 1, int(share * len(_PALETTE)))]
     parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
-    return "#FFFFFF" if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EVEN else "#000000"
+    return "#FFFFFF" if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EQUAL_CONTRAST else "#000000"
 
 
 def _interval(candidate: CandidateScore, place: int) -> str:
@@ -160,9 +161,9 @@ class ThermalImage:
         rows, columns = image.shape
         low = float(np.nanmin(image))
         high = float(np.nanmax(image))
-        wider = max(0.0, MIN_SPAN - (high - low)) / 2
-        self._colours.low = round(low - wider, 1)
-        self._colours.high = round(high + wider, 1)
+        widening = max(0.0, MIN_SPAN - (high - low)) / 2
+        self._colours.low = round(low - widening, 1)
+        self._colours.high = round(high + widening, 1)
         self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
 
     def _draw(self) -> Any:

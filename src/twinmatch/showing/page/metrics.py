@@ -18,7 +18,7 @@ _Gauge = tuple[str, str, str, Iterable[tuple[float, tuple[str, ...]]]]
 
 
 class StateMetrics(Collector):
-    """The metrics of a state at a moment; what is not known has no number."""
+    """The metrics of a state at a moment; a metric that is not known has no number."""
 
     def __init__(self, state: DashboardState, now: float) -> None:
         """`now` (s) is of the clock that the state's times are taken from."""
@@ -26,7 +26,7 @@ class StateMetrics(Collector):
         self._now = now
 
     def collect(self) -> Iterator[Metric]:
-        """All of them."""
+        """All metrics."""
         state = self._state
         with state.lock:
             of_verdict = _of_verdict(state, state.verdict) if state.verdict else ()
@@ -47,19 +47,20 @@ def exposition(state: DashboardState, now: float) -> bytes:
 
 
 def _of_state(state: DashboardState, now: float) -> Iterator[_Gauge]:
+    """What is known without a verdict: samples, trust, faults and the newest forecast."""
     index = math.nan if state.sample is None else float(state.sample)
     age = math.nan if state.received_at is None else now - state.received_at
     levels = [
         (float(possible_level is level(state)), (possible_level.value,)) for possible_level in TrustLevel
     ]
-    standing = [(1.0, fault) for fault in faults(state)] or [(0.0, ("", ""))]
+    faults_on = [(1.0, fault) for fault in faults(state)] or [(0.0, ("", ""))]
     yield "sample_index", "Index of the newest sample.", "", [(index, ())]
     yield "verdicts", "Verdicts of this session.", "", [(float(state.tally.verdicts), ())]
     yield "sample_age_seconds", "Time since the newest sample was received.", "", [(age, ())]
     yield "trust_level", "1 for the level of trust in the leader, 0 for the others.", "level", levels
     trusted = [(trusted_ahead(state), ())]
     yield "trusted_horizon_seconds", "How far ahead the leader is trusted; 0: not at all.", "", trusted
-    yield "fault", "1 for each fault of plant or drive that is on; 0 without one.", "fault channel", standing
+    yield "fault", "1 for each fault of plant or drive that is on; 0 without one.", "fault channel", faults_on
     points = [(point, (point.signal.name, point.signal.unit, f"{point.horizon:g}")) for point in ahead(state)]
     for edge in ("mean", "low", "high"):
         text = f"The leader's forecast at a horizon in seconds, {edge} of its band."

@@ -1,4 +1,5 @@
-"""The state over MQTT, for programs and for Home Assistant; nothing is subscribed to, so nothing commands."""
+"""The state over MQTT, for programs and for Home Assistant. It subscribes to nothing, so it commands
+nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from twinmatch.showing.page.state import DashboardState
 _GOODBYE: Final = 1.0
 """Time limit for the last message, s."""
 _NOT_PLAIN: Final = re.compile(r"[^A-Za-z0-9_-]+")
-"""What the names of topics and of Home Assistant's entities may not have."""
+"""Characters that names of topics and of Home Assistant's entities may not have."""
 _MEASURED: Final = {"state_class": "measurement"}
 _TEMPERATURES: Final = {"°C", "°F", "K"}
 """Units that Home Assistant knows as those of temperatures."""
@@ -44,7 +45,8 @@ class MqttOutlet:
         self._enter(_NOT_PLAIN.sub("_", self._rig))
 
     def tell(self, state: DashboardState) -> str:
-        """Publish what has changed, once the plant is known; returns why it cannot, or nothing."""
+        """Publish what has changed, once the plant is known; returns why that is impossible, or an empty
+        text."""
         with state.lock:
             plant = state.described.plant
             title = state.described.title
@@ -60,16 +62,17 @@ class MqttOutlet:
             except BrokerError as error:
                 return str(error)
         for topic, payload in messages.items():
-            if self._said.get(topic) != payload:
-                self._said[topic] = payload
+            if self._newest_payloads.get(topic) != payload:
+                self._newest_payloads[topic] = payload
                 if self._client.is_connected():
                     self._client.publish(topic, payload, retain=True)
         lost = f"the connection to the broker at {self._broker.text} is lost"
         return "" if self._client.is_connected() else lost
 
     def _enter(self, name: str) -> None:
-        """Connect under the name of a rig; without one, to know that the broker can be used."""
-        self._said = {_status(name): "online"} if name else {}
+        """Connect under the name of a rig. Without a name, the connection shows that the broker can be
+        used."""
+        self._newest_payloads = {_status(name): "online"} if name else {}
         will = (_status(name), b"offline") if name else None
         self._client = self._broker.connected(self._repeat, will=will)
         self._name = name
@@ -83,11 +86,13 @@ class MqttOutlet:
         return leave(self._client)
 
     def _repeat(self, client: Client) -> None:
-        for topic, payload in dict(self._said).items():
+        """Publish all topics again on a new connection."""
+        for topic, payload in dict(self._newest_payloads).items():
             client.publish(topic, payload, retain=True)
 
 
 def _status(name: str) -> str:
+    """The topic that says whether a rig is online."""
     return f"twinmatch/{name}/status"
 
 
@@ -148,11 +153,11 @@ class _Entity(NamedTuple):
     kind: str
     key: str
     fields: dict[str, Any]
-    """Those of this entity alone."""
+    """Fields of its configuration that no other entity shares."""
     value: str
-    """An expression of the templates."""
+    """Expression of Home Assistant's templates for its value."""
     attributes: dict[str, str]
-    """Expressions of the templates, by name."""
+    """Expressions of the templates for its attributes, by name."""
 
 
 def _entities(state: DashboardState) -> Iterator[_Entity]:

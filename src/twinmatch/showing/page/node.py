@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0
-"""Seconds between checks for a new verdict, with which the session is summarised."""
+"""Seconds between checks for a new verdict, after which the session is summarised again."""
 POLL = 0.05
 """Seconds between checks for requests of the page."""
 
@@ -81,11 +81,11 @@ class Dashboard(TwinmatchNode):
         """Subscribe to the graph and serve the page."""
         described = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
         self.state = DashboardState(described=described)
-        self._queued: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._requested: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._requests = Requests(
             self,
             self.state,
-            self._queued.put,
+            self._requested.put,
             control=self.values["control"],
             settings=lambda: self._settings,
         )
@@ -158,9 +158,9 @@ class Dashboard(TwinmatchNode):
     def _on_health(self, message: DiagnosticArray) -> None:
         time_received = time.monotonic()
         for status in message.status:
-            if status.name.endswith(PLANT_REPORT):  # the verdicts say it here
+            if status.name.endswith(PLANT_REPORT):  # the page shows the plant's health from the verdicts
                 continue
-            values = {entry.key: entry.value for entry in status.values}
+            values = {pair.key: pair.value for pair in status.values}
             level = int.from_bytes(status.level, "little")
             self.state.push_health(status.name, level, status.message, values, time_received)
 
@@ -172,6 +172,7 @@ class Dashboard(TwinmatchNode):
         self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
 
     def _sum_up(self) -> None:
+        """Summarise the session after a new verdict, and publish the state to the broker."""
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
             update_sentence(self.state, self._settings)
@@ -180,6 +181,7 @@ class Dashboard(TwinmatchNode):
             self.health.flag_if(bool(trouble), "tell", Level.WARN, trouble)
 
     def _run_requests(self) -> None:
+        """Do what the page has requested since the last call."""
         with suppress(Empty):
             while True:
-                self._queued.get_nowait()()
+                self._requested.get_nowait()()

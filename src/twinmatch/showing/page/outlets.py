@@ -1,4 +1,5 @@
-"""Ways out of a state, for who looks elsewhere; each needs a package of the extra `outlets`."""
+"""Where else the state of the page can be read: Prometheus and MQTT, each with a package of the extra
+`outlets`."""
 
 from __future__ import annotations
 
@@ -26,11 +27,11 @@ def metrics_text(state: DashboardState) -> bytes:
 
 
 def outlet_to(url: str, rig: str = "") -> MqttOutlet:
-    """What tells an MQTT broker; see there.
+    """What publishes a state over MQTT; URL and rig are those of an `MqttOutlet`.
 
     Raises:
         ServingError: the package for MQTT is not installed.
-        BrokerError: as there.
+        BrokerError: the URL cannot be used, or there is no connection.
     """
     _require("paho", "--tell")
     from twinmatch.showing.page.mqtt_outlet import MqttOutlet  # noqa: PLC0415

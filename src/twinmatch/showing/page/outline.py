@@ -34,7 +34,10 @@ def trusted_ahead(state: DashboardState) -> float:
 
 
 def ahead(state: DashboardState) -> list[PointAhead]:
-    """The newest forecast at the verdicts' horizons, or else at its end: of outputs, then of inputs."""
+    """The newest forecast at the horizons of the verdict, or, before the first verdict, at its end.
+
+    At each horizon, the outputs are followed by the inputs.
+    """
     forecast = state.current_forecast
     described = state.described
     points = []

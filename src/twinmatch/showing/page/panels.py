@@ -37,7 +37,7 @@ DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
 NO_SAMPLE = '<p class="quiet">No sample yet.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
-"""Colours of the levels of REP 107."""
+"""For each level of REP 107, the trust level whose colour it has."""
 NODE_WORDS = ("OK", "warning", "error", "silent")
 AT_REST = "has ended with the replay"
 _PLACE = ": look at "
@@ -59,7 +59,7 @@ def first_screen(state: DashboardState) -> str:
 
 
 def _any_of(quantities: Iterable[Quantity]) -> str:
-    """Their different names, as alternatives."""
+    """The names of some quantities as alternatives, each once."""
     return " or the ".join(dict.fromkeys(quantity.name for quantity in quantities))
 
 
@@ -179,12 +179,12 @@ def tiles(state: DashboardState) -> str:
     values = (state.plant.newest() or {}) | (state.twin.newest() or {})
     loops = state.described.loops
     rows = []
-    for k, (asked, output, control) in enumerate(loops):
+    for k, (set_point, output, control) in enumerate(loops):
         source = output.name if loops[1:] else "plant"
         y = output.decimals
         u = control.decimals
         shown = (
-            (asked.label, "reference", y),
+            (set_point.label, "reference", y),
             (with_unit(source, output.unit), "output", y),
             (with_unit("closed-loop twin", output.unit), "closed_output", y),
             (with_unit("driven twin", output.unit), "driven_output", y),
@@ -193,13 +193,13 @@ def tiles(state: DashboardState) -> str:
         )
         rows.append([(label, number(values.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
-        for entries, (_, _, control), applied in zip(
+        for tiles_of_loop, (_, _, control), applied in zip(
             rows, loops, point_values(state.drive.input), strict=False
         ):
-            entries.append((with_unit("applied", control.unit), number(applied, control.decimals)))
+            tiles_of_loop.append((with_unit("applied", control.unit), number(applied, control.decimals)))
         if not math.isnan(state.drive.current):
             rows[0].append(("current / A", number(state.drive.current, 2)))
-    return "".join(_tiles(entries, "tiles now") for entries in rows)
+    return "".join(_tiles(tiles_of_loop, "tiles now") for tiles_of_loop in rows)
 
 
 def status(state: DashboardState, now: float) -> str:
@@ -213,9 +213,9 @@ def status(state: DashboardState, now: float) -> str:
         rate = "as fast as possible" if player.rate == 0 else f"{player.rate:g} × recorded speed"
         pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
     reports = state.nodes.reports
-    worst = [n for n in reports if not state.nodes.at_rest(n) and state.nodes.level(n, now)]
-    if worst:
-        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(reports)} nodes need attention"))
+    to_attend = [name for name in reports if not state.nodes.at_rest(name) and state.nodes.level(name, now)]
+    if to_attend:
+        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(to_attend)} of {len(reports)} nodes need attention"))
     elif reports and ended is None:
         fine = "1 node is OK" if len(reports) == 1 else f"{len(reports)} nodes are OK"
         pills.append(_pill(TrustLevel.TRUSTED, fine))
@@ -244,7 +244,10 @@ def alarm(state: DashboardState) -> str:
 
 
 def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
-    """The candidates with their criteria for both outputs together: `all_orders`, or the chosen one."""
+    """The candidates with their criteria for both outputs together.
+
+    A candidate has a row for each of its orders if `all_orders`, else one for the chosen order.
+    """
     if verdict is None or not verdict.candidates:
         return NO_CANDIDATE
     criteria = computed(verdict.modelled)
@@ -260,7 +263,7 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
         tag = '<span class="tag">nominal</span>' if nominal else ""
         figures = [column.text(candidate) for column in FIGURES]
         figures += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
-        both, _ = outputs_of(candidate.orders)[-1]  # in open loop the output alone
+        both, _ = outputs_of(candidate.orders)[-1]  # both outputs together; in open loop the output alone
         shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
         for line in shown or (None,):
             chosen = line is None or line.chosen
@@ -340,7 +343,7 @@ def _more(verdict: Verdict, period: float) -> list[str]:
 
 
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
-    """Names with their units, each above its value."""
+    """Values, each below its name with the unit."""
     shown = [
         f'<div><div class="label">{escape(name)}</div><div class="value">{escape(value)}</div></div>'
         for name, value in entries
@@ -354,7 +357,7 @@ def _pill(level: TrustLevel | None, words: str) -> str:
 
 
 def _table(head: Sequence[tuple[str, str, str]], lines: Sequence[str], kind: str = "") -> str:
-    """A table from names, units and meanings of its columns and its rows."""
+    """A table: `head` has name, unit and meaning of each column, `lines` are its rows as HTML."""
     names = "".join(
         f'<th{" class=left" if k == 1 else ""} title="{escape(meaning)}">{escape(name)}'
         f"<small>{escape(unit)}</small></th>"

@@ -44,7 +44,7 @@ class Requests:
         """Make clients; `later` queues a function for the node's thread, `settings` returns those in use."""
         self._node = node
         self._state = state
-        self._later = later
+        self._run_in_node = later
         self._settings = settings
         self.control = control
         """Whether the page may set the set-point, clear faults and stop."""
@@ -67,7 +67,7 @@ class Requests:
         self._call(self._pause, SetBool.Request(data=paused), "the player", self._show_result)
 
     def rate(self, rate: float) -> None:
-        """Set its speed in recorded seconds per second; 0: as fast as possible."""
+        """Set the speed of the player in recorded seconds per second; 0: as fast as possible."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
         self._call(self._rate, request, "the player", self._show_rate_result)
@@ -92,13 +92,13 @@ class Requests:
         self._call(self._what_if, request, "the discriminator", show, show_text)
 
     def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
-        """Ask what to do next, have it run, or stop it."""
+        """Ask which experiment to do next, have it run, or stop the one that runs."""
         if self.control:
             request = Experiment.Request(run=run, stop=stop)
             self._call(self._experiment, request, "the discriminator", self._show_result)
 
     def continue_profile(self) -> None:
-        """Have the controller continue its profile, which waits since an experiment."""
+        """Have the controller continue its profile, which has waited since an experiment began."""
         if self.control:
             not_followed = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
             parameters = [Parameter(name="course.followed", value=not_followed)]
@@ -106,7 +106,7 @@ class Requests:
             self._call(self._course, request, "the controller", self._show_profile)
 
     def law_back(self) -> None:
-        """Give the law before one on trial back."""
+        """Put the law back that the controller had before the one on trial."""
         if self.control:
             self._call(self._law, ApplyLaw.Request(back=True), "the controller", self._show_result)
 
@@ -152,12 +152,17 @@ class Requests:
         request: Any,
         server: str,
         take_answer: Callable[[Any], None],
-        otherwise: Callable[[str], None] | None = None,
+        show_failure: Callable[[str], None] | None = None,
     ) -> None:
+        """Call a service, in the node's thread; `server` names the node that offers it.
+
+        `show_failure` gets the reason if the service is missing; by default it is shown as the result.
+        """
+
         def call() -> None:
             if not client.service_is_ready():
-                fail = otherwise or partial(self._state.notify, False)
-                fail(f"{server} is not running (no service {client.srv_name})")
+                show = show_failure or partial(self._state.notify, False)
+                show(f"{server} is not running (no service {client.srv_name})")
             else:
                 client.call_async(request).add_done_callback(done)
 
@@ -166,7 +171,7 @@ class Requests:
             if answer is not None and self._node.entrance.passes(client.srv_name, answer):
                 take_answer(answer)
 
-        self._later(call)
+        self._run_in_node(call)
 
     def _show_result(self, answer: Any) -> None:
         self._state.notify(answer.success, answer.message)

@@ -30,11 +30,11 @@ from twinmatch.showing.serving import Hosts, ServingError, listen
 PATIENCE = 20.0
 """Time limit for the server to start, s."""
 LARGEST_MESSAGE = 1 << 20
-"""Bytes a browser may send at once; clicks are a few hundred."""
+"""Most bytes of a message of the websocket; a click has a few hundred."""
 
 
-REQUEST: Final = 1 << 16
-"""Most bytes of a request's header, and of its body; those of a browser have a few hundred."""
+LARGEST_REQUEST: Final = 1 << 16
+"""Most bytes of a request's header, and of its body; a browser sends a few hundred."""
 PATHS: Final = re.compile(r"/|/ws|/favicon\.ico|/metrics|/static/[\w./-]+", re.ASCII)
 """Paths that a browser or Prometheus asks for; Bokeh's own for pages of other sites are not among them."""
 
@@ -103,13 +103,13 @@ class PageServer:
 
     def _serve(self, loop: IOLoop) -> None:
         logging.getLogger("bokeh").setLevel(logging.WARNING)
-        for name in ("tornado.access", "tornado.general"):  # what others ask for is not told here
+        for name in ("tornado.access", "tornado.general"):  # requests of others do not belong into this log
             logging.getLogger(name).setLevel(logging.CRITICAL)
         settings.resources = "server"  # whatever BOKEH_RESOURCES says
         settings.allowed_ws_origin = None  # nor does BOKEH_ALLOW_WS_ORIGIN
         application = Application(FunctionHandler(self._fill))
         tornado = _Guarded(self._hosts, application, self.url, self._metrics)
-        http = HTTPServer(tornado, max_header_size=REQUEST, max_body_size=REQUEST)
+        http = HTTPServer(tornado, max_header_size=LARGEST_REQUEST, max_body_size=LARGEST_REQUEST)
         http.add_socket(self._socket)
         self._server = BaseServer(loop, tornado, http)
         self._server.start()
@@ -147,17 +147,18 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
         return self.get_handler_delegate(request, _Refusal, {"status": status, "why": why})
 
     def _refusal(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
-        asked = request.headers
-        why = self._hosts.refusal(asked.get("Host"), asked.get("Origin"))
+        """Status and sentence with which a request is refused; None if it is answered."""
+        headers = request.headers
+        why = self._hosts.refusal(headers.get("Host"), headers.get("Origin"))
         if why:
             return HTTPStatus.FORBIDDEN, why
-        if asked.get("Sec-Fetch-Site") == "cross-site" and asked.get("Sec-Fetch-Dest") != "document":
+        if headers.get("Sec-Fetch-Site") == "cross-site" and headers.get("Sec-Fetch-Dest") != "document":
             return HTTPStatus.FORBIDDEN, "a page of another site may not use this one; open it in a tab"
         if PATHS.fullmatch(request.path) is None:
             return HTTPStatus.NOT_FOUND, "there is nothing of this name here; the page is at /"
-        if "Bokeh-Session-Id" in asked or any(name.startswith("bokeh-") for name in request.arguments):
+        if "Bokeh-Session-Id" in headers or any(name.startswith("bokeh-") for name in request.arguments):
             return HTTPStatus.FORBIDDEN, "a session cannot be chosen here; the page is at /"
-        if request.path == "/ws" and not self._has_token(asked.get("Sec-WebSocket-Protocol", "")):
+        if request.path == "/ws" and not self._has_token(headers.get("Sec-WebSocket-Protocol", "")):
             return HTTPStatus.FORBIDDEN, "this needs the token of a page that was loaded from here; reload it"
         return None
 
@@ -177,7 +178,7 @@ class _Scrape(RequestHandler):  # type: ignore[misc]  # nor has Tornado
     """Answers with metrics in the text format of Prometheus."""
 
     def initialize(self, metrics: Callable[[], bytes]) -> None:
-        """Answer with these."""
+        """Take the function that returns the metrics."""
         self._metrics = metrics
 
     def get(self) -> None:
@@ -191,7 +192,7 @@ class _Scrape(RequestHandler):  # type: ignore[misc]  # nor has Tornado
 
 
 class _Refusal(RequestHandler):  # type: ignore[misc]
-    """An answer that says why there is no other one."""
+    """Refuses a request, with the reason."""
 
     def initialize(self, status: HTTPStatus, why: str) -> None:
         """Answer with this status and sentence."""

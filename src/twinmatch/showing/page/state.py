@@ -36,7 +36,7 @@ from twinmatch.twin import TwinSettings, filled_stretches
 from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
 
 LOOP: Final = ("reference", "output", "input")
-"""Columns of the plant, of several signals those of the first."""
+"""Columns of the plant's first loop; those of further loops are numbered (`nth`)."""
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
 EVENTS = 400
@@ -48,7 +48,8 @@ class TwinRow(NamedTuple):
     """Both twins at one sample; residuals are measured minus twin, RMS over the newest samples."""
 
     closed_output: OperatingPoint
-    """Of the closed-loop twin, driven by the set-point; as all of them of each signal."""
+    """Of the closed-loop twin, driven by the set-point. Like all values of a row, it has one for each
+    signal."""
     closed_input: OperatingPoint
     driven_output: OperatingPoint
     """Of the twin driven by the plant's input."""
@@ -73,12 +74,12 @@ class DriveReport(NamedTuple):
     """When it was made, ns by the clock of the samples' stamps; None: not known."""
 
 
-LATE: Final = 5
-"""Samples after which an estimate is not shown any longer."""
+ESTIMATE_SHOWN: Final = 5
+"""Samples for which an estimate is shown after the one that it is of."""
 
 
 def drive_fault(fault: str) -> tuple[str, str]:
-    """What a fault does to the output and its kind, and why."""
+    """A title, which says what a fault does to the output, and the reason that the fault gives."""
     kind, _, why = fault.partition(": ")
     return "output limited" if is_limit(fault) else f"output held at zero: {kind.replace('_', ' ')}", why
 
@@ -197,9 +198,9 @@ class DashboardState:
         self.tally = Tally()
         """What the verdicts of this session come down to."""
         self.taught: list[Verdict] = []
-        """The first of them with a nominal candidate, if there was one."""
+        """The first verdict of this session with a nominal candidate, alone; empty before it."""
         self.verdicts = 0
-        """Changes of the two above, counted."""
+        """How often the verdict has changed, over all sessions."""
         self.sentence = ""
         """The session so far in one sentence; empty: neither leader nor nominal yet."""
         self.forecast: Forecast | None = None
@@ -207,7 +208,7 @@ class DashboardState:
         self.what_if: WhatIfAnswer | None = None
         """The newest what-if question."""
         self.forecast_changes = 0
-        """Changes of the two above, counted."""
+        """How often the forecast or the what-if answer has changed, over all sessions."""
         self.drive: DriveReport | None = None
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.event_count = 0
@@ -259,9 +260,11 @@ class DashboardState:
 
     @property
     def read_through(self) -> list[EstimatedReading]:
-        """What sensors should read now that are not believed."""
+        """What the sensors that are not believed should read now."""
         newest = self.sample or 0
-        return [estimate for estimate in self.estimates.values() if newest - estimate.sample <= LATE]
+        return [
+            estimate for estimate in self.estimates.values() if newest - estimate.sample <= ESTIMATE_SHOWN
+        ]
 
     def push_sample(self, sample: Sample, now: float) -> None:
         """Take a sample received at `now` (s), once the plant it is of has been described."""
@@ -274,11 +277,11 @@ class DashboardState:
                 self._begin(previous.index, sample.index)
             elif previous is not None:
                 self._note_interval(sample, previous)
-            first = self.sample is None
+            begins_session = self.sample is None
             self.plant.push(sample.index, self._spread((sample.references, sample.outputs, sample.inputs)))
             self._previous = sample
             self.received_at = now
-            if first:
+            if begins_session:
                 self._date(sample)
 
     def push_twin(self, index: int, row: TwinRow) -> None:
@@ -289,7 +292,8 @@ class DashboardState:
             self.twin.push(index, self._spread(map(point_values, row)))
 
     def _spread(self, kinds: Iterable[Sequence[float]]) -> list[float]:
-        """Values of each kind, of fewer than loops the last again."""
+        """One value per loop of each kind: a kind with fewer values than there are loops repeats its last
+        one."""
         return [values[min(k, len(values) - 1)] for values in kinds for k in range(self._loops)]
 
     def push_estimate(self, estimate: EstimatedReading) -> None:
@@ -402,6 +406,7 @@ class DashboardState:
         self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
 
     def _note_interval(self, sample: Sample, previous: Sample) -> None:
+        """Compute the sampling period from one more interval between samples."""
         interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
         if interval > 0:
             self._intervals.append(interval)
@@ -411,10 +416,13 @@ class DashboardState:
         """Log an event of this moment, or of its stamp (ns)."""
         event = Event(self.sample, kind, title, why, mark, stamp=stamp)
         newest = self._previous
-        self._log(event if self.sample is None or newest is None else event.dated(newest))
+        if self.sample is None or newest is None:
+            self._log(event)  # the first sample of the session dates it
+        else:
+            self._log(event.dated(newest))
 
     def _date(self, first: Sample) -> None:
-        """Date the events that were received before the session's first sample."""
+        """Give the events that were received before the session's first sample its date."""
         dated = (event.dated(first) if event.sample is None else event for event in self.events)
         self.events = deque(dated, maxlen=EVENTS)
 
@@ -424,7 +432,7 @@ class DashboardState:
 
 
 def _columns_of_loops(names: Iterable[str], loops: int) -> list[str]:
-    """Each name for each of so many loops."""
+    """Every name once for each of `loops` loops."""
     return [nth(name, k) for name in names for k in range(loops)]
 
 

@@ -27,6 +27,7 @@ MARKS = {
     Mark.WARNING: LEVELS[TrustLevel.DOUBTFUL],
     Mark.BAD: LEVELS[TrustLevel.FAULT],
 }
+"""Colours of the marks in charts."""
 MARK_SIGNS = {Mark.GOOD: "●", Mark.NOTE: "◆", Mark.WARNING: "▲", Mark.BAD: "✕"}
 """The same marks in text."""
 MARK_INKS = {Mark.GOOD: "#00664B", Mark.NOTE: SET_POINT, Mark.WARNING: "#8A5A00", Mark.BAD: "#B3001B"}

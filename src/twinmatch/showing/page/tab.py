@@ -26,11 +26,12 @@ if TYPE_CHECKING:
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
 """Labels and seconds; 0: everything that is kept."""
 DEFAULT_SPAN = 1
+"""Place of the span that is shown first."""
 RATES = (1.0, 10.0, 50.0, 200.0, 0.0)
-"""Speeds on the page, recorded seconds per second; 0: as fast as possible."""
+"""Speeds that the page offers, recorded seconds per second; 0: as fast as possible."""
 
 
-_AT_END = {"align-items": "flex-end", "flex-wrap": "wrap"}
+_FORM_STYLES = {"align-items": "flex-end", "flex-wrap": "wrap"}
 
 
 def _button(label: str, width: int, kind: str, on_click: Callable[[], None]) -> Button:
@@ -39,7 +40,7 @@ def _button(label: str, width: int, kind: str, on_click: Callable[[], None]) -> 
     return button
 
 
-def _entry(title: str, width: int, **limits: float) -> NumericInput:
+def _number_field(title: str, width: int, **limits: float) -> NumericInput:
     return NumericInput(title=title, mode="float", width=width, stylesheets=[BUTTONS], **limits)
 
 
@@ -78,20 +79,24 @@ class PlayerButtons:
 
 def question_form(requests: Requests, label: str) -> Row:
     """The what-if question: a forecast for another set-point, named by `label`. Nothing is moved."""
-    level = _entry(label, 110)
-    hold = _entry("for / s (empty: it stays)", 150, low=0.001)
+    level = _number_field(label, 110)
+    hold = _number_field("for / s (empty: it stays)", 150, low=0.001)
 
     def ask() -> None:
         if level.value is not None:
             requests.what_if(float(level.value), None if hold.value is None else float(hold.value))
 
-    return Row(level, hold, _button("Ask", 70, "primary", ask), name="question", spacing=8, styles=_AT_END)
+    return Row(
+        level, hold, _button("Ask", 70, "primary", ask), name="question", spacing=8, styles=_FORM_STYLES
+    )
 
 
 def rig_form(requests: Requests, label: str) -> Row:
-    """Set-point, named by `label` (empty: there are several), clearing a fault and stop, for a page that may
-    control."""
-    level = _entry(label, 110)
+    """The controls of a page that may command: set-point, experiments, law, clearing a fault, stop.
+
+    `label` names the set-point; it is empty if there are several, which cannot be set here.
+    """
+    level = _number_field(label, 110)
 
     def ask() -> None:
         if level.value is not None:
@@ -108,12 +113,12 @@ def rig_form(requests: Requests, label: str) -> Row:
         _button("Output off", 110, "danger", requests.stop),
     )
     shown = (level, *buttons) if label else buttons[1:]
-    return Row(*shown, name="rig", spacing=8, styles=_AT_END)
+    return Row(*shown, name="rig", spacing=8, styles=_FORM_STYLES)
 
 
 REFRESH = 350
 """Milliseconds between two updates of a tab."""
-_COME_BACK = """
+_RELOAD_WHEN_BACK = """
 const come_back = async () => {
     try {
         if ((await fetch(location.href, {cache: "no-store"})).ok) { location.reload(); return }
@@ -146,13 +151,13 @@ class Tab:
             *("matrix_note", "chart_note", "answer"),
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
-        self._every = Toggle(label="all orders", name="every", width=110)
+        self._all_orders = Toggle(label="all orders", name="every", width=110)
         spans: Any = {"labels": [label for label, _ in SPANS], "active": DEFAULT_SPAN}
         self._span = RadioButtonGroup(name="span", stylesheets=[BUTTONS], **spans)
         self._player = PlayerButtons(requests)
-        alone = described.loops[1:] == ()
-        label = described.references[0].label if alone else ""
-        self._forms = [question_form(requests, label)] if alone else []
+        has_one_loop = described.loops[1:] == ()
+        label = described.references[0].label if has_one_loop else ""
+        self._forms = [question_form(requests, label)] if has_one_loop else []
         self._control = requests.control
         if self._control:
             self._forms.append(rig_form(requests, label))
@@ -162,7 +167,7 @@ class Tab:
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
         roots = [*self._charts.figures, self._matrix.figure, self._thermal.root, *self._texts.values()]
-        roots += [self._every, self._span, self._player.root, *self._forms]
+        roots += [self._all_orders, self._span, self._player.root, *self._forms]
         with document.models.freeze():  # otherwise every root scans the whole document again
             for root in roots:
                 document.add_root(root)
@@ -177,16 +182,16 @@ class Tab:
         document.template_variables.update(shown)
         document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
-        document.js_on_event("connection_lost", CustomJS(code=_COME_BACK))
+        document.js_on_event("connection_lost", CustomJS(code=_RELOAD_WHEN_BACK))
         self.update()
         document.add_periodic_callback(self.update, REFRESH)
 
     def update(self) -> None:
         """Update whatever has changed."""
         state = self._state
-        time = self._clock()
+        now = self._clock()
         with state.lock:
-            state.nodes.expire(time)
+            state.nodes.expire(now)
             seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active][1]
             span = state.plant.capacity
             if seconds:
@@ -194,19 +199,21 @@ class Tab:
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
-            self._update_texts(time)
-            begun = state.sample is not None
-            if self._changed("happened", (state.verdicts, state.event_count, state.period, begun)):
-                mine = [e for e in reversed(state.events) if e.session == state.session]
-                self._charts.draw_events(state.tally.stretches, mine, state.period)
+            self._update_texts(now)
+            has_begun = state.sample is not None
+            if self._changed("happened", (state.verdicts, state.event_count, state.period, has_begun)):
+                of_session = [event for event in reversed(state.events) if event.session == state.session]
+                self._charts.draw_events(state.tally.stretches, of_session, state.period)
                 events = panels.events_table(reversed(state.events), state.session, state.period)
                 self._show("events", events)
-            if self._changed("family", (state.verdicts, self._every.active)):
+            if self._changed("family", (state.verdicts, self._all_orders.active)):
                 self._matrix.update(state.verdict)
                 none_yet = state.verdict is None or not state.verdict.candidates
                 self._matrix.figure.visible = not none_yet
                 self._show("matrix_note", panels.NO_CANDIDATE if none_yet else "")
-                self._show("family", panels.family_table(state.verdict, all_orders=bool(self._every.active)))
+                self._show(
+                    "family", panels.family_table(state.verdict, all_orders=bool(self._all_orders.active))
+                )
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
             self._player.update(state.nodes.player)
@@ -238,6 +245,8 @@ class Tab:
             self._show("notice", panels.notice(state))
 
     def _show(self, name: str, html: str) -> None:
+        """Put a text in its place, which is hidden while empty; one that has not changed is not sent
+        again."""
         place = self._texts[name]
         if place.text != html:
             place.text = html
@@ -245,6 +254,7 @@ class Tab:
             place.visible = bool(html)
 
     def _changed(self, name: str, value: object) -> bool:
+        """Whether a value differs from that of the last call with this name."""
         if self._seen.get(name) == value:
             return False
         self._seen[name] = value

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 _QUEUE: Final = {"leader_forecasts": -2, "forecasts": -1, "responses": 1}
-"""Pictures that take longest, and so are begun first by one of two processes: those at either end."""
+"""Places of the pictures that take longest: each of two processes begins at one end of the queue."""
 _SHOWN = 6
 """Forecasts of the leader that fit into one figure."""
 
@@ -97,7 +97,7 @@ def _of_session(j: Judgement) -> Iterator[Picture]:
 
 
 def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterator[Picture]:
-    """Of the k-th output; the names end so."""
+    """The figures of the forecasts of the k-th output; `ending` is added to their names."""
     if not tested.marked:
         return
     alt = (
@@ -118,6 +118,7 @@ def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterat
 
 
 def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
+    """The figures of the matches and of the family at the end."""
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         alt = (
@@ -212,6 +213,6 @@ def _session_alt(j: Judgement) -> str:
 def _health_alt(j: Judgement) -> str:
     stretches = j.summary.stretches
     levels = ", ".join(f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches)
-    joined = len(admitted(j.verdicts))
+    n_admitted = len(admitted(j.verdicts))
     refused = sum(v.match == REFUSED for v in j.verdicts)
-    return f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, {refused} refused."
+    return f"Trust over time: {levels or 'no verdict'}. {n_admitted} matches admitted, {refused} refused."

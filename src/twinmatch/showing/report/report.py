@@ -155,7 +155,7 @@ class JudgedSession:
 
     @property
     def tested(self) -> Backtest:
-        """Those of a plant with one output."""
+        """The only one of these comparisons, of a plant with one output."""
         return one_of_each("output", self.tests)
 
 
@@ -181,7 +181,7 @@ def _terms(session: Session, config: Path | None = None, candidates: Path | None
 def _judge(
     session: Session,
     terms: Terms,
-    unlike: str,
+    why_incomparable: str,
     *,
     peers: Sequence[str] = tuple(PEERS),
     watch: Watch | None = None,
@@ -189,24 +189,31 @@ def _judge(
 ) -> JudgedSession:
     listener = Listener(session.name, session.samples, terms.settings, Choices(peers=tuple(peers)), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
-    recorded, identical = _verify(session, judgement, unlike)
+    recorded, identical = _verify(session, judgement, why_incomparable)
     watch_rest = part_of(watch, 1, 2)
     return JudgedSession(session, judgement, listener, terms.source, recorded, identical, watch_rest)
 
 
-def _verify(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
+def _verify(session: Session, judgement: Judgement, why_incomparable: str) -> tuple[str, bool | None]:
+    """How recorded verdicts compare with those of the judgement, in words, and whether they are identical.
+
+    `why_incomparable` is empty if they can be compared.
+    """
     count = holds_verdicts(session)
     if not count:
         return "The session has no recorded verdicts; all of them were computed for this report.", None
     recomputed = "They were computed again for this report and"
     try:
-        comparison = None if unlike else compare(session, judgement)
+        comparison = None if why_incomparable else compare(session, judgement)
     except TwinmatchError as error:
         comparison = None
-        unlike = str(error)
+        why_incomparable = str(error)
     if comparison is None:
         recorded = f"The session has {count} recorded verdicts."
-        return f"{recorded} {recomputed} could not be compared with the recorded ones: {unlike}.", None
+        return (
+            f"{recorded} {recomputed} could not be compared with the recorded ones: {why_incomparable}.",
+            None,
+        )
     matches = f"{comparison.matches} match{'' if comparison.matches == 1 else 'es'}"
     recorded = f"The session has {comparison.verdicts} recorded verdicts and {matches}."
     if comparison.identical:
@@ -427,9 +434,9 @@ def make_report(
         TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, progress=progress, plant=plant)
-    terms, unlike = _terms(session, config, candidates)
+    terms, why_incomparable = _terms(session, config, candidates)
     import_module("matplotlib.backends.backend_svg")  # slow; the second process has it, too
     with beside(possible=second and portable(terms.settings.plant)) as work:
-        judged = _judge(session, terms, unlike, peers=peers, watch=watch, work=work)
+        judged = _judge(session, terms, why_incomparable, peers=peers, watch=watch, work=work)
         report = build_report(judged, path, command=command, work=work)
     return replace(report, memory=tuple(memory_words(terms.settings.plant, memory, rig)))

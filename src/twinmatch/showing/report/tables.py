@@ -39,18 +39,22 @@ from twinmatch.showing.verdicts import events, match_word, refusal, trust_by_sig
 from twinmatch.signals import FloatArray, point_text
 from twinmatch.twin import MatchReport
 
-Item = TypeVar("Item")
+Subject = TypeVar("Subject")
 
 
 class Cell(NamedTuple):
-    """One cell, which may be in bold, head its row, be aligned right, span rows, and have a CSS class."""
+    """One cell of a table."""
 
     text: str
     best: bool = False
+    """Whether it is in bold."""
     head: bool = False
+    """Whether it heads its row."""
     number: bool = True
+    """Whether it is aligned right."""
     rows: int = 1
-    mark: str = ""
+    """Number of rows that it spans."""
+    css_class: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,8 @@ class ReportTable:
     caption: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    marked: frozenset[int] = frozenset()
-    """Highlighted rows."""
+    highlighted: frozenset[int] = frozenset()
+    """Numbers of the rows that stand out."""
 
     @property
     def right(self) -> tuple[bool, ...]:
@@ -70,8 +74,8 @@ class ReportTable:
         return tuple(cell.number for cell in first) or (False,) * len(self.columns)
 
 
-def _words(text: str, *, mark: str = "") -> Cell:
-    return Cell(text, number=False, mark=mark)
+def _words(text: str, *, css_class: str = "") -> Cell:
+    return Cell(text, number=False, css_class=css_class)
 
 
 def _head(text: str, rows: int = 1) -> Cell:
@@ -81,13 +85,16 @@ def _head(text: str, rows: int = 1) -> Cell:
 
 def _table(
     caption: str,
-    items: Iterable[Item],
-    shown: Sequence[tuple[str, Callable[[Item], Cell]]],
-    marked: Collection[int] = (),
+    subjects: Iterable[Subject],
+    shown: Sequence[tuple[str, Callable[[Subject], Cell]]],
+    highlighted: Collection[int] = (),
 ) -> ReportTable:
-    """A row per item, from the names of the columns and what they show of an item."""
-    rows = tuple(tuple(cell(item) for _, cell in shown) for item in items)
-    return ReportTable(caption, tuple(name for name, _ in shown), rows, frozenset(marked))
+    """A table with a row for each subject; `shown` has the name of each column, and its cell for a subject.
+
+    `highlighted` are the numbers of the rows that stand out.
+    """
+    rows = tuple(tuple(cell(subject) for _, cell in shown) for subject in subjects)
+    return ReportTable(caption, tuple(name for name, _ in shown), rows, frozenset(highlighted))
 
 
 def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
@@ -97,7 +104,7 @@ def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
         events(verdicts),
         (
             ("t / s", lambda event: Cell(number((event.sample or 0) * period, 0))),
-            ("kind", lambda event: _words(event.kind.value, mark=event.kind.name.lower())),
+            ("kind", lambda event: _words(event.kind.value, css_class=event.kind.name.lower())),
             ("what", lambda event: _words(event.title)),
             ("why", lambda event: _words(event.why)),
         ),
@@ -166,8 +173,8 @@ def family_table(members: Sequence[Member]) -> ReportTable | None:
     shown.append(("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")))
     if closed:
         shown.append(("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–")))
-    marked = {k for k, m in enumerate(members) if m.nominal}
-    return _table("Parameters of the family, with 95 % intervals", members, shown, marked)
+    highlighted = {k for k, m in enumerate(members) if m.nominal}
+    return _table("Parameters of the family, with 95 % intervals", members, shown, highlighted)
 
 
 def _parameter_cell(q: ParameterFormat, member: Member) -> Cell:
@@ -203,7 +210,7 @@ def match_table(
 
     def result(report: MatchReport) -> Cell:
         word = match_word(report, verdicts)
-        return _words(word, mark=word.partition(":")[0])
+        return _words(word, css_class=word.partition(":")[0])
 
     shown: list[tuple[str, Callable[[MatchReport], Cell]]] = [
         ("t / s", lambda m: Cell(number(m.sample * period, 0))),
@@ -316,8 +323,8 @@ def _distances(
         total_cell = Cell(number(total, 3), best=total == min(sums))
         rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *further_cells))
     names = [c.name for c in candidates]
-    marked = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
-    return ReportTable(title, ("candidate", *names, "Σ", *(c.label for c in extra)), tuple(rows), marked)
+    highlighted = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
+    return ReportTable(title, ("candidate", *names, "Σ", *(c.label for c in extra)), tuple(rows), highlighted)
 
 
 def coefficient_table(member: Member) -> ReportTable:
@@ -337,9 +344,9 @@ def coefficient_table(member: Member) -> ReportTable:
 
 
 def _polynomial_cell(coefficients: FloatArray) -> Cell:
-    """In q⁻¹, constant term first, to six significant digits."""
+    """The coefficients of a polynomial in q⁻¹, constant term first, to six significant digits."""
     text = "  ".join(f"{value:.6g}".replace("-", "−") for value in coefficients.tolist())
-    return _words(text, mark="poly")
+    return _words(text, css_class="poly")
 
 
 def forecast_tables(tested: Backtest) -> list[ReportTable]:
@@ -357,8 +364,8 @@ def forecast_tables(tested: Backtest) -> list[ReportTable]:
             error = Cell(figures[0], best=card.who in best)
             rows.append((_head(forecaster), error, *map(Cell, figures[1:])))
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
-        marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
-        tables.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), marked))
+        highlighted = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
+        tables.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), highlighted))
     return tables
 
 

@@ -65,8 +65,9 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
 
 
 def _ends(values: Iterable[float]) -> tuple[float, float]:
-    finite_values = list(values)
-    return min(finite_values), max(finite_values)
+    """The least and the greatest of some values."""
+    all_values = list(values)
+    return min(all_values), max(all_values)
 
 
 def _duration(judgement: Judgement) -> str:
@@ -124,11 +125,12 @@ def _matching(judgement: Judgement) -> str:
             f"There was no {kind} step that a digital twin could be fitted to, so there is no match and no "
             "candidate."
         )
-    joined = len(admitted(judgement.verdicts))
-    refused = f" and {count - joined} refused (see section 2)" if count > joined else ""
+    n_admitted = len(admitted(judgement.verdicts))
+    were = "was" if n_admitted == 1 else "were"
+    refused = f" and {count - n_admitted} refused (see section 2)" if count > n_admitted else ""
     return (
         f"After {kind} steps a digital twin, a simulation {twin}, is fitted to the measurements: of {count} "
-        f"match{'' if count == 1 else 'es'}, {joined} {'was' if joined == 1 else 'were'} admitted to the "
+        f"match{'' if count == 1 else 'es'}, {n_admitted} {were} admitted to the "
         f"family{refused}."
     )
 
@@ -256,11 +258,14 @@ def _step(settings: TwinSettings) -> str:
 
 
 _Fitted = list[tuple[ShownSignal, str, float]]
+"""Signals with their fit in per cent and the RMS residual."""
 
 
 def _fitted(judgement: Judgement, shown: ShownTwin) -> tuple[_Fitted, _Fitted, _Fitted]:
-    """Outputs and inputs with fit in per cent and RMS residual of the closed-loop twin (if the loop is not
-    known, outputs of the driven one), and outputs with those of the driven one."""
+    """How the closed-loop twin fits outputs and inputs, and how the driven one fits outputs.
+
+    If the loop is not known, the driven twin stands for the closed-loop one, and no input is fitted.
+    """
     plant = judgement.settings.plant
     fits = judgement.summary.fits
     if fits is None:
