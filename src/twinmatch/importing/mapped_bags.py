@@ -216,7 +216,7 @@ class _Rows(NamedTuple):
         )
 
     def columns(self, is_used: NDArray[np.bool_], longest: float | None) -> dict[str, FloatArray]:
-        """Columns of a table by signal, for the readings that are is_used."""
+        """Columns of a table by signal, for the readings that are used."""
         times = self.times[is_used]
         columns = {TIME: times, self.output: self.signals[self.output].values[is_used]}
         for name, signal in self.signals.items():

@@ -169,7 +169,7 @@ def read_table(
         with open_regular(path) as file:
             first_bytes = file.read(4)
             if os.fstat(file.fileno()).st_size > LIMITS.size:
-                msg = f"{path}: has more than {LIMITS.size / 1e6:.0f} MB; split it into parts first_bytes"
+                msg = f"{path}: has more than {LIMITS.size / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
             return _read_csv(path, first_bytes, progress)

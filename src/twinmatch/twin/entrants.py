@@ -1,5 +1,7 @@
-"""The candidates that forecast beside the plant, and how their forecasts stand: replaced when they change, so
-what is derived from them is derived once."""
+"""The candidates that forecast beside the plant, and how their forecasts stand.
+
+Both are never changed but replaced, so that what is derived from them is computed once.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,7 @@ class Entrants(dict[str, Entrant]):
         return tuple(name for name in self if name not in self.external)
 
     def foresight(self, law: Law | None, period: float) -> Foresight:
-        """What the native ones forecast with, always with the same law and sample time (s)."""
+        """The joint forecast of the native ones; built once, so law and sample time (s) must not change."""
         if self._foresight is None:
             filters = [self[name].state_filter for name in self.native]
             self._foresight = foresight_of([(f.parameters, f.free) for f in filters], law, period)
@@ -90,8 +92,8 @@ class Standings:
         if math.isnan(best.gain):
             return f"{best.name} leads until a forecast can be compared with the samples"
         saved = f"{best.name} forecasts best: it saves {max(best.gain, 0.0):.2f} characters per forecast"
-        right = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
-        return saved + (right if len(self._entrants) > 1 else "")
+        beside_others = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
+        return saved + (beside_others if len(self._entrants) > 1 else "")
 
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:
@@ -109,7 +111,7 @@ class Standings:
 
     def _score(self, name: str, signal: int | None = None) -> ForecastScore:
         """The score of a candidate; its skills and bands in all signals or in one."""
-        assert self._ledger is not None  # noqa: S101 — otherwise nobody has saved anything
+        assert self._ledger is not None  # noqa: S101 — without a ledger there are no names to score
         candidate = self._entrants[name].candidate
         calibration = self._entrants[name].calibration
         total, gains = self._saved[name]
@@ -118,9 +120,9 @@ class Standings:
         independent = []
         for horizon in self._horizons:
             before = max((shorter for shorter in self._horizons if shorter < horizon), default=0)
-            share, number = calibration.coverage(before, horizon, signal)
-            coverage.append(share)
-            independent.append(number)
+            share_inside, effective = calibration.coverage(before, horizon, signal)
+            coverage.append(share_inside)
+            independent.append(effective)
         skills = np.concatenate(self._ledger.skills(name, signal)).tolist()
         return ForecastScore(
             name=name,
