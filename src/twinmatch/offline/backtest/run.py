@@ -1,4 +1,4 @@
-"""Runs a session through the twin, asks everybody at its origins, and scores all forecasts."""
+"""Runs a session through the twin, has all forecasters forecast at its origins, and scores the forecasts."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ class _Outlooks(NamedTuple):
 
 
 class _Common(NamedTuple):
-    """What all origins have in common."""
+    """What the forecasts of all origins of a session are graded with."""
 
     session: str
     settings: TwinSettings
@@ -270,7 +270,8 @@ class Listener:
         self._every = SPARSER * scored.every if choices.every is None else choices.every
         self._samples = samples
         self._settings = settings
-        self._taught = bool(settings.plant.typical)
+        self._knows_twin = bool(settings.plant.typical)
+        """Whether there is a twin by which readings are judged: a typical one, or the first nominal one."""
         self._lay_out()
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
@@ -279,8 +280,8 @@ class Listener:
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
-        if not self._taught and any(verdict.chosen for verdict in outcome.verdicts):
-            self._taught = True
+        if not self._knows_twin and any(verdict.chosen for verdict in outcome.verdicts):
+            self._knows_twin = True
             self._lay_out(outcome.verdicts)
         if not (outcome.verdicts or sample.index in self.wanted):
             return
@@ -316,9 +317,9 @@ def _outlooks(twin: Twin) -> _Outlooks:
     return _Outlooks({name: forecaster.outlook(name) for name in names}, parts, forecaster.arx)
 
 
-def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
+def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     """Make and score the forecasts of all available forecasters at one origin."""
-    session, settings, horizons, names = terms
+    session, settings, horizons, names = shared
 
     with one_thread():
         rows = origin.disturbances
