@@ -229,14 +229,17 @@ class Discriminator:
         return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
 
     def _scheduled(self, sample: Sample) -> list[Verdict]:
-        """The verdicts of the window that a sample completes, unless its match has to be requested first."""
+        """The verdicts on the window that a sample completes, unless its match has to be requested first."""
         if not sample.usable:
             return []
         self._due = self._schedule.push(sample)
         return [] if self._due is None else self._on_trigger(self._due)
 
     def _next(self, verdicts: list[Verdict]) -> Sample | None:
-        """The next sample of the queue, as the door settles it once all before it have been taken."""
+        """The next settled sample; None once the queue is empty.
+
+        The door settles a sample only when all before it have been taken: it learns from their verdicts.
+        """
         if not self._entered and self._waiting:
             sample = self._waiting.popleft()
             with self._replacing_defect(verdicts, sample.index, self._begin_door):
@@ -249,8 +252,11 @@ class Discriminator:
     def _replacing_defect(
         self, verdicts: list[Verdict], sample: int, start_over: Callable[[], None]
     ) -> Iterator[None]:
-        """Run one part at a sample. If it raises what nobody outside can fix, the part starts over, and a
-        verdict that says so takes the place of the one that could not be made."""
+        """Run one part at a sample, within this context.
+
+        If it raises an error that no user can fix, the part starts over, and a verdict that says so takes the
+        place of the one that could not be made.
+        """
         try:
             yield
         except Exception as error:
@@ -419,7 +425,8 @@ class Discriminator:
                 self._fit(trigger)
             dismissed = pool.leave_memory()
             pool.enter()
-            scored = bool(match.word) and not pool.empty
+            was_matched = bool(match.word)
+            scored = was_matched and not pool.empty
             if scored:
                 try:
                     pool.score(window)
@@ -429,7 +436,8 @@ class Discriminator:
             if not scored:
                 pool.score_leader()
             knowledge = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
-            self._door.learn(verdict := self._verdict_of(knowledge))
+            verdict = self._verdict_of(knowledge)
+            self._door.learn(verdict)
             return verdict
 
     def _verdict_of(self, known: Knowledge) -> Verdict:

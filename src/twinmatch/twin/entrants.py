@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -55,6 +55,15 @@ class Entrants(dict[str, Entrant]):
         return self._foresight
 
 
+class _Savings(NamedTuple):
+    """Characters that a candidate has saved per forecast."""
+
+    total: float
+    """At all horizons together; NaN before any forecast could be compared."""
+    by_horizon: list[float]
+    """NaN where none could be compared yet."""
+
+
 class Standings:
     """How the forecasts of all candidates stand after some samples."""
 
@@ -71,7 +80,7 @@ class Standings:
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
-        totals = {name: total for name, (total, _) in self._saved.items() if name in names}
+        totals = {name: savings.total for name, savings in self._saved.items() if name in names}
         return max(totals, key=lambda name: np.nan_to_num(totals[name], nan=-np.inf), default=None)
 
     @cached_property
@@ -114,7 +123,7 @@ class Standings:
         assert self._ledger is not None  # noqa: S101 — without a ledger there are no names to score
         candidate = self._entrants[name].candidate
         calibration = self._entrants[name].calibration
-        total, gains = self._saved[name]
+        savings = self._saved[name]
         first, last = candidate.samples
         coverage = []
         independent = []
@@ -129,8 +138,8 @@ class Standings:
             parameters=candidate.parameters,
             first=first,
             last=last,
-            gain=total,
-            gains=tuple(gains),
+            gain=savings.total,
+            gains=tuple(savings.by_horizon),
             forecasts=self._ledger.forecasts(name),
             coverage=tuple(coverage),
             independent=tuple(independent),
@@ -138,10 +147,11 @@ class Standings:
         )
 
     @cached_property
-    def _saved(self) -> dict[str, tuple[float, list[float]]]:
-        """Characters saved by each at all horizons together, NaN without any, and at each horizon."""
+    def _saved(self) -> dict[str, _Savings]:
+        """What each candidate has saved, by name; empty without a ledger."""
         if self._ledger is None:
             return {}
         gains = self._ledger.gains(tuple(self._entrants))
         totals = np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
-        return dict(zip(self._entrants, zip(totals.tolist(), gains.tolist(), strict=True), strict=True))
+        saved = map(_Savings, totals.tolist(), gains.tolist())
+        return dict(zip(self._entrants, saved, strict=True))

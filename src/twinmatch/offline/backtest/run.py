@@ -203,13 +203,13 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
     outputs = _around(forecast.outputs, past.outputs[SKIPPED:] - twin.outputs, forecast.confidence)
     if law is None:
         return replace(forecast, outputs=outputs)
-    entries = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
+    unlimited = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
     drives = parameters.model.plant.drives.values()
     inputs = []
-    for entry, drive in zip(entries, drives, strict=True):
-        low = np.clip(entry.low, *drive.limits)
-        high = np.clip(entry.high, *drive.limits)
-        inputs.append(Band(entry.mean, low, high))
+    for band, drive in zip(unlimited, drives, strict=True):
+        low = np.clip(band.low, *drive.limits)
+        high = np.clip(band.high, *drive.limits)
+        inputs.append(Band(band.mean, low, high))
     return replace(forecast, outputs=outputs, inputs=tuple(inputs))
 
 
@@ -304,6 +304,7 @@ class Listener:
 
 
 def _outlooks(twin: Twin) -> _Outlooks:
+    """The outlooks of a twin's candidates at its newest sample."""
     forecaster = twin.discriminator.forecaster
     nominal = twin.discriminator.nominal
     names = forecaster.names
@@ -313,8 +314,8 @@ def _outlooks(twin: Twin) -> _Outlooks:
         NOMINAL: nominal.name if nominal else None,
         NEWEST: next((name for name in names if name not in structures), None),
     }
-    parts = {part: name for part, name in candidate_of.items() if name in names}
-    return _Outlooks({name: forecaster.outlook(name) for name in names}, parts, forecaster.arx)
+    present = {role: name for role, name in candidate_of.items() if name in names}
+    return _Outlooks({name: forecaster.outlook(name) for name in names}, present, forecaster.arx)
 
 
 def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
