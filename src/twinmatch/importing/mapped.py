@@ -24,7 +24,7 @@ from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
 
-_SENSOR_AT_FAULT = 0.01
+_FAILED_SENSOR_SHARE = 0.01
 """Largest share of readings beyond the sensor's span that is blamed on the sensor, not on a wrong unit."""
 
 _MARKS = (-999.0, -9999.0, -99999.0, -999.9, -999.99)
@@ -344,7 +344,7 @@ def check_range(
         f"{signal} is {values[first]:g} {plant_signal.unit}{further}, beyond the {bounds}, "
         f"{low:g} to {high:g}"
     )
-    if plant_signal.kind == "reading" and outside.size <= _SENSOR_AT_FAULT * used_rows.size:
+    if plant_signal.kind == "reading" and outside.size <= _FAILED_SENSOR_SHARE * used_rows.size:
         return [f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."]
     raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, plant_signal, values[used_rows])}")
 

@@ -248,6 +248,7 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
 
 
 def _require_names(path: Path, place: int, titles: Sequence[str], separator: str) -> None:
+    """Refuse a first line of numbers only: the table has no column names."""
     if any(number(title) is None for title in titles):
         return
     names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
@@ -381,6 +382,7 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
 
 
 def _begins_as_number(text: str) -> bool:
+    """Whether a cell is a number, or begins like one, as a date does."""
     return number(text, ",") is not None or text[0].isdigit()
 
 

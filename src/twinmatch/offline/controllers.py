@@ -205,8 +205,8 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
     supported = [fit.model for fit in fits if fit.charge <= best.charge + _FITS.most_charge]
-    longest = _FITS.window * HOLD  # of a plant whose time constant is not known
-    parts = [part for stretch in whole for part in in_parts(plant, stretch, _FITS.window, otherwise=longest)]
+    samples = _FITS.window * HOLD  # in a part, if the plant has no time constant
+    parts = [part for stretch in whole for part in in_parts(plant, stretch, _FITS.window, otherwise=samples)]
     windows = [part for part in parts if len(part) >= _FITS.shortest]
     members = []
     total = len(windows) * len(supported)

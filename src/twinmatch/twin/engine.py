@@ -43,12 +43,12 @@ class Step(NamedTuple):
     request: MatchRequest | None
     """The match to request now; its answer is awaited."""
     snapshots: tuple[Snapshot, ...] = ()
-    """All candidates at every sample that they have taken now, if the discriminator was asked for them; none
-    of lost samples."""
+    """The candidates' outlooks at every sample that they have taken now, lost ones excepted; empty unless the
+    discriminator was made with `snapshots`."""
     settled: tuple[Sample, ...] = ()
     """The samples that it has taken now, and stand-ins, as the door settled them."""
     estimates: tuple[EstimatedReading, ...] = ()
-    """What sensors should have read that were not believed at these samples."""
+    """Of sensors that were not believed at these samples, what they should have read."""
 
 
 class _Recurring(NamedTuple):
@@ -148,8 +148,10 @@ class Discriminator:
         self._trusted: tuple[float, ...] = ()
 
     def tell_of_trial(self, first: int, last: float = math.inf) -> None:
-        """A law on trial drove from one sample to another. Nothing is matched or learned of these, since
-        forecasts are for the law before."""
+        """Learn that a law on trial drove from sample `first` to `last`.
+
+        Nothing is matched on these samples or learned from them, since forecasts are for the law before.
+        """
         self._trials[first] = last
 
     def _trial_between(self, first: int, last: int) -> str:
@@ -563,7 +565,7 @@ class Outcome(NamedTuple):
     settled: tuple[Sample, ...]
     """The sample as the door settled it, behind the stand-ins for those lost before it."""
     estimates: tuple[EstimatedReading, ...] = ()
-    """What sensors should have read that were not believed."""
+    """Of sensors that were not believed, what they should have read."""
 
 
 class Twin:

@@ -98,7 +98,7 @@ class LiveExperiment:
         return self.report
 
     def _replanned_unless_over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
-        """Why it ends undecided; if it does not, take the best course for the rest, and return nothing."""
+        """Why it ends undecided; otherwise empty, and the best course for the rest is taken."""
         remaining = len(self._rest)
         indices = [s.index for s in self._samples]
         if verdict.level is TrustLevel.FAULT:

@@ -11,7 +11,7 @@ replayed session triggers exactly where the live one did. There are two kinds:
 
 What counts is how far the output is expected to move: by the set-point where the loop is known, otherwise by
 the inputs, through the plant's equations. A movement is one by `min_step`, or a lesser one that has lasted:
-the sum of squares undetermined a gain, and many small movements say as much as a large one.
+the sum of squares determines a gain, and many small movements say as much as a large one.
 
 In a loop that is known, the twin starts from rest, so the window begins `lead` samples before the regime
 before: it holds two levels and the transition between them. A driven twin needs no levels, and every sample
@@ -40,7 +40,7 @@ from twinmatch.signals import OperatingPoint, Sample, Signals, Window, point_of
 _LEAVING: Final = 0.1
 """Share of a least movement from which the output counts as on its way."""
 _ENOUGH: Final = 240
-"""Samples after which a window that undetermined the parameters is judged before `span`. With fewer, a twin
+"""Samples after which a window that determines the parameters is judged before `span`. With fewer, a twin
 that lacks something fits what is left."""
 
 

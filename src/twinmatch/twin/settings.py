@@ -60,8 +60,8 @@ class ForecastSettings:
         """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
         at least ten samples apart: at each, all candidates are simulated."""
         interval_scale = max(scale, _FEWEST_BETWEEN * period / cls.every)
-        in_samples = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
-        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in in_samples)
+        rounded = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
+        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in rounded)
         return cls(horizons, cls.every * interval_scale, cls.memory * interval_scale)
 
     @property
