@@ -96,6 +96,7 @@ class ArxForecast(NamedTuple):
     """Limits of each forecast output, shape (o, 2): one width beyond what was visited."""
     law: Law | None
     controller: FloatArray
+    """State of the controller after the newest sample."""
 
     @property
     def order(self) -> int:
@@ -104,8 +105,9 @@ class ArxForecast(NamedTuple):
 
     def referees(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Forecasts of all `BASELINES`, in their order, shape (baselines, o + m, N); see `forecast`."""
-        means = self.forecast(ahead, rows)
-        return np.stack([np.broadcast_to(self.past[0, : len(means), None], means.shape), means])
+        of_arx = self.forecast(ahead, rows)
+        of_persistence = np.broadcast_to(self.past[0, : len(of_arx), None], of_arx.shape)
+        return np.stack([of_persistence, of_arx])
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Outputs and inputs, shape (o + m, N), under these set-points, or inputs if the loop is not known.
@@ -137,11 +139,11 @@ class _Fit(NamedTuple):
     factor: FloatArray
     """Triangular factor of [1, lags, step of the outputs], weighted by age."""
     rows: int
-    """Their number."""
+    """Number of samples that are in it."""
     weight: float
     """Sum of their weights."""
     level: FloatArray
-    """Values of all signals that they are relative to; empty before the first."""
+    """Values of all signals to which the lags are relative; empty before the first sample."""
 
 
 class Arx:
@@ -153,9 +155,9 @@ class Arx:
         self._kept = kept
         self._fit = _Fit(np.zeros((0, 0)), 0, 0.0, np.zeros(0))
         self._newest: list[Sample] = []
-        """Consecutive samples: the `MAX_ORDER` before those that are not yet in the factor, and these."""
+        """Consecutive samples: those that are not yet in the factor, behind the `MAX_ORDER` before them."""
         self._learned = 0
-        """How many of them are."""
+        """How many of the `_newest` precede those that are not yet in the factor."""
         self.visited: Visited = ()
         """Lowest and highest value of each output so far."""
 
@@ -226,7 +228,10 @@ class Arx:
         )
 
     def _coefficients(self, fit: _Fit) -> FloatArray:
-        """Those of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty without samples."""
+        """The coefficients of the order with the least AICc, shape (o, 1 + p·(o + m + d)).
+
+        Empty while there are too few samples.
+        """
         o = len(self.visited)
         sizes = 1 + fit.level.size * np.arange(1, MAX_ORDER + 1)
         sizes = sizes[sizes * _MIN_ROWS <= fit.weight + 1e-9]

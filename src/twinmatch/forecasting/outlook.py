@@ -33,12 +33,14 @@ from twinmatch.signals import FloatArray, Sample, Signals
 
 @dataclass(frozen=True, slots=True)
 class _FilterSettings:
-    """How far a twin's states are believed, on a plant of any kind: in units of the states' spans, so that on
-    the rig a state drifts by 0.03 K in a second from what the equations say, and begins with 4.5 K."""
+    """How far a twin's states are believed.
+
+    In units of the states' spans, so that it suits a plant of any kind. On the rig a state drifts by 0.03 K
+    in a second from what the equations say, and its uncertainty is 4.5 K at the beginning.
+    """
 
     drift: float = 2e-4
-    """Least drift of a state from the equations per second, in units of its span, at a time constant of 100
-    s."""
+    """Least drift of a state from the equations per second, in spans, at a time constant of 100 s."""
     unknown: float = 0.03
     """Initial uncertainty of a state, in units of its span."""
     swift: float = 0.2
@@ -98,7 +100,7 @@ class StateFilter:
                 sample.outputs,
                 period=self.period,
                 drift=drift_of(self.parameters.model),
-                start=_FILTER.unknown * _spans(self.parameters.model),
+                start=_FILTER.unknown * _spans_of_states(self.parameters.model),
                 input=sample.inputs,
                 disturbances=row,
                 states=self._states,
@@ -171,27 +173,28 @@ class StateFilter:
 def foresight_of(
     twins: Sequence[tuple[Parameters, Sequence[str]]], law: Law | None, period: float
 ) -> Foresight:
-    """The forecasts of twins: of each the parameters, and the names of those that are unsure."""
+    """What makes the forecasts of twins; each is given by its parameters and the names of the unsure ones."""
     drift = [drift_of(parameters.model) for parameters, _ in twins]
     return Foresight(twins, law, drift=drift, period=period, swift=_FILTER.swift)
 
 
 @functools.cache
-def _least(plant: type[Plant]) -> FloatArray:
+def _least_variances(plant: type[Plant]) -> FloatArray:
+    """Least variance of each output and input that is forecast, shape (o + m, 1)."""
     least = [0.0] * len(plant.outputs) + [(_MIN_NOISE * drive.noise) ** 2 for drive in plant.drives.values()]
     return np.array(least)[:, None]
 
 
 def deviations(model: Model, variances: FloatArray) -> FloatArray:
     """Standard deviations of outputs and inputs as a twin expects them, shape (..., o + m, N)."""
-    return np.asarray(np.sqrt(variances + _least(model.plant)))
+    return np.asarray(np.sqrt(variances + _least_variances(model.plant)))
 
 
 @functools.cache
 def drift_of(model: Model) -> FloatArray:
     """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
     changed."""
-    return _FILTER.drift * _spans(model) / math.sqrt(usual_scale(model.plant))
+    return _FILTER.drift * _spans_of_states(model) / math.sqrt(usual_scale(model.plant))
 
 
 class Followers:
@@ -236,7 +239,8 @@ def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> 
     )
 
 
-def _spans(model: Model) -> FloatArray:
+def _spans_of_states(model: Model) -> FloatArray:
+    """Width of the span that is declared for each state, shape (n,)."""
     low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
     return np.asarray(high - low, dtype=np.float64)
 
@@ -260,6 +264,7 @@ class Outlook:
     covariance: FloatArray
     """Covariance of the states and of the parameters `unsure`, shape (n + m, n + m)."""
     unsure: tuple[str, ...]
+    """Names of the parameters that were matched, so that they are not known exactly."""
     controller: FloatArray
     """State of the controller after that sample."""
     law: Law | None
@@ -283,7 +288,7 @@ class Outlook:
 
     @property
     def standing(self) -> Signals:
-        """The newest set-points, or the newest inputs if the loop is not known."""
+        """What stays if nothing is changed: the newest set-points, or inputs if the loop is not known."""
         return self.sample.references if self.closed else self.sample.inputs
 
     @property
@@ -321,7 +326,7 @@ class Outlook:
         predicted = self.predicted(values, disturbances)
         size = len(values)
         expected = deviations(self.parameters.model, predicted.variances)[: len(self.widths)]
-        half = expected * self._widths(size)
+        half = expected * self._widths_ahead(size)
         n_outputs = predicted.outputs.shape[1]
         y = predicted.means[:n_outputs]
         u = predicted.means[n_outputs:]
@@ -372,7 +377,8 @@ class Outlook:
             bands.append(Band(means[k], lower, upper))
         return tuple(bands)
 
-    def _widths(self, samples: int) -> FloatArray:
+    def _widths_ahead(self, samples: int) -> FloatArray:
+        """The widths at every sample ahead, over log time linear between leads; shape (signals, samples)."""
         ahead = np.log(np.arange(1, samples + 1))
         knots = np.log(np.array(self.leads, dtype=np.float64))
         return np.stack([np.interp(ahead, knots, row) for row in self.widths])

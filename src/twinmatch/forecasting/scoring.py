@@ -86,12 +86,12 @@ class Calibration:
             stride: samples between two forecasts.
             outputs: number of outputs among the signals, which come first.
         """
-        self._outputs = np.arange(signals) < outputs
+        self._is_output = np.arange(signals) < outputs
         self.leads = leads
         self._kept = kept
         self._recent = recent
         self._signals = np.arange(signals)
-        self._new = np.minimum(stride / np.array(leads), 1.0)
+        self._uncovered = np.minimum(stride / np.array(leads), 1.0)
         """Share of a forecast that the one before did not cover, shape (L,)."""
         # In units of the local scale, beginning with the prior; those from `_first` to `_end` count.
         self._quotients = np.zeros((len(leads), signals, 2 * _HALF_NORMAL.size))
@@ -104,17 +104,26 @@ class Calibration:
         self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
         self._counts = np.zeros(len(leads))  # sums of their weights
         self._quantiles = np.zeros((signals, len(leads)))
-        self._inside = np.zeros((signals, len(leads)))  # held by the band, weighted, of `_asked`
-        self._asked = np.zeros(len(leads))
+        self._inside = np.zeros((signals, len(leads)))
+        """Readings within the band, weighted, of the `_compared` ones."""
+        self._compared = np.zeros(len(leads))
+        """Readings compared with a band, weighted."""
         self._stale = set(range(len(leads)))
+        """Leads whose quantile has to be computed again."""
 
     def copy(self) -> Calibration:
         """An independent copy."""
         return deepcopy(self)
 
     def learn(self, quotients: FloatArray, before: int, widths: FloatArray) -> None:
-        """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), at leads
-        beyond `before`; NaN where a sample was lost. `widths`: those it was given with."""
+        """Learn from one forecast, at the leads after `before`.
+
+        Args:
+            quotients: those of the signals at N samples ahead, shape (signals, N); NaN where a sample was
+                lost.
+            before: lead up to which it has been learned from already, samples.
+            widths: those that its bands had, shape (signals, L).
+        """
         size = quotients.shape[1]
         learned = []
         columns = []
@@ -124,23 +133,27 @@ class Calibration:
                 columns.append(lead - 1)
         if not learned:
             return
-        came = quotients[:, columns]
-        is_inside = came <= widths[:, learned]
+        at_leads = quotients[:, columns]
+        is_inside = at_leads <= widths[:, learned]
         self._inside[:, learned] = self._kept * self._inside[:, learned] + is_inside
-        self._asked[learned] = self._kept * self._asked[learned] + 1.0
-        self.add(learned, came)
+        self._compared[learned] = self._kept * self._compared[learned] + 1.0
+        self.add(learned, at_leads)
 
     def coverage(self, before: int, last: int, signal: int | None = None) -> tuple[float, float]:
-        """Share of the readings that the bands have held at leads after `before` up to `last`, of one
-        `signal` or of all the least, and the effective number of forecasts in it that do not overlap; NaN
-        without any."""
-        asked = [k for k, lead in enumerate(self.leads) if before < lead <= last and self._asked[k] > 0.0]
-        if not asked:
+        """Share of the readings that the bands have held, and how many forecasts that rests on.
+
+        It is the share at leads after `before` up to `last`, of one `signal` or the least of all. The number
+        is effective and of forecasts that do not overlap. Both are NaN without any.
+        """
+        compared = [
+            k for k, lead in enumerate(self.leads) if before < lead <= last and self._compared[k] > 0.0
+        ]
+        if not compared:
             return np.nan, np.nan
-        shares = (self._inside[:, asked] / self._asked[asked]).mean(axis=1)
+        shares = (self._inside[:, compared] / self._compared[compared]).mean(axis=1)
         share = shares.min() if signal is None else shares[signal]
-        longest = asked[-1]
-        return float(share), float(self._asked[longest] * self._new[longest])
+        longest = compared[-1]
+        return float(share), float(self._compared[longest] * self._uncovered[longest])
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""
@@ -155,9 +168,11 @@ class Calibration:
             if size == len(self._weights):
                 self._weights.append(self._weights[-1] * self._kept)
             # Those of the prior are as old as the first that was learned.
-            self._first[lead] += self._weights[min(size, self._learned[lead])] < _NEGLIGIBLE
-        self._sums[:, leads] = self._recent * self._sums[:, leads] + self._new[leads] * quotients
-        self._counts[leads] = self._recent * self._counts[leads] + self._new[leads]
+            weight_of_oldest = self._weights[min(size, self._learned[lead])]
+            if weight_of_oldest < _NEGLIGIBLE:
+                self._first[lead] += 1
+        self._sums[:, leads] = self._recent * self._sums[:, leads] + self._uncovered[leads] * quotients
+        self._counts[leads] = self._recent * self._counts[leads] + self._uncovered[leads]
         self._stale.update(leads)
 
     def _make_room(self, lead: int) -> None:
@@ -183,17 +198,17 @@ class Calibration:
     def _scales(self) -> FloatArray:
         """How large errors are now, in units of the twin's standard deviations, shape (signals, L).
 
-        Until a lead has shown it of an output, the one before it has; until the first has, they are as
-        expected. What a controller commands errs at short leads as a reading does, at long ones as a level:
-        there, one lead says nothing of the next.
+        A lead with few forecasts of an output takes it from the next shorter one; the first lead then takes
+        the deviations as they are, a scale of 1. Inputs always take 1: what a controller commands errs at
+        short leads as a reading does, at long ones as a level, so one lead says nothing of the next.
         """
         shares = _TRUSTED / (_TRUSTED + self._counts)
         scales = np.empty_like(self._sums)
-        shown = self._sums / (_MEAN * (_TRUSTED + self._counts))
-        before = np.ones(len(scales))
+        of_errors = self._sums / (_MEAN * (_TRUSTED + self._counts))
+        of_shorter_lead = np.ones(len(scales))
         for k, share in enumerate(shares):
-            scales[:, k] = share * before + shown[:, k]
-            before[self._outputs] = scales[self._outputs, k]
+            scales[:, k] = share * of_shorter_lead + of_errors[:, k]
+            of_shorter_lead[self._is_output] = scales[self._is_output, k]
         return scales
 
     def _quantile(self, lead: int) -> FloatArray:
@@ -205,7 +220,7 @@ class Calibration:
         order = np.argsort(quotients, axis=0, kind="stable")
         # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
         # since it shares less with those before than they do with each other.
-        weight_of_next = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
+        weight_of_next = np.where(self._is_output, self._uncovered[lead] ** -0.5, 1.0)
         share = np.cumsum(weights[order], axis=0) / (weights.sum() + weight_of_next)
         ranks = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
         places = order[ranks, self._signals]
@@ -216,15 +231,20 @@ _LN10: Final = float(np.log(10.0))
 _ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %."""
 _LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
-"""Columns of an account at a horizon: characters of all signals together, and the effective number of
-forecasts in that sum; the number in the means; and from here on those of `Ledger`."""
+"""Columns of an account at a horizon.
+
+`_LENGTH`: characters of all signals together. `_WEIGHT`: effective number of forecasts in that sum.
+`_COUNTED`: the same in the means, with the prior. From `_MEANS` on: the means themselves; see `Ledger`."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Accounts:
-    """How few forecasts are judged. The first ones count beside the noise of the sensor, as if three had
-    erred by it; a few small errors may be chance, so no density is narrower than a third of it; and who is
-    new has saved nothing yet."""
+    """How candidates with few forecasts are judged.
+
+    Their first errors count beside the noise of the sensor, as if three forecasts had erred by it. A few
+    small errors may be chance, so no density is narrower than a third of that noise. And a new candidate has
+    saved nothing yet: its gain is shrunk to zero.
+    """
 
     prior: float = 3.0
     """Weight of the noise as prior mean error of a candidate, in forecasts."""
@@ -263,16 +283,19 @@ class Ledger:
         """Columns, one for each baseline and then for each baseline and signal, of the mean square of the
         difference of both errors, relative to their means; before there is one it counts as large as the
         errors, 1. The first are those of the mean over the signals."""
-        self._new = np.concatenate([[0.0, 0.0, _ACCOUNTS.prior], sizes, squares])
+        self._new_account = np.concatenate([[0.0, 0.0, _ACCOUNTS.prior], sizes, squares])
         """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
         """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
-        self._accounts = self._new[None, None]
+        self._accounts = self._new_account[None, None]
         self._set(())
 
     def _set(self, sources: Iterable[tuple[str | int, str | int]]) -> None:
-        """Have these accounts only: each a copy of one that there is, or a new one; and one more, empty."""
-        new = np.tile(self._new, (self.horizons, 1))
+        """Keep only the accounts with these names, and an empty one in the last row.
+
+        Each begins as a copy of the account of its source or, if that is missing, as a new one.
+        """
+        new = np.tile(self._new_account, (self.horizons, 1))
         accounts = {}
         for name, source in sources:
             accounts[name] = self._accounts[self._rows[source]] if source in self._rows else new

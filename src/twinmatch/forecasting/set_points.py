@@ -72,8 +72,8 @@ class SetPoints:
             raise ForecastError(f"profile: {what} is {level:g}; give a finite number")
         if not low <= level <= high:
             raise ForecastError(
-                f"profile: {what} is {_with(level, unit)}; give one from {low:g} to {_with(high, unit)}, "
-                f"the range of the plant's {self.kind}s"
+                f"profile: {what} is {_with_unit(level, unit)}; give one from {low:g} to "
+                f"{_with_unit(high, unit)}, the range of the plant's {self.kind}s"
             )
 
     @classmethod
@@ -97,16 +97,16 @@ class SetPoints:
             ForecastError: a row is not a pair of numbers, there is no row, or as the class.
         """
         pairs: list[tuple[float, float]] = []
-        header = True
+        may_be_header = True
         for number, row in enumerate(rows, 1):
             cells = _cells(row)
             if not cells or cells[0].startswith("#"):
                 continue
-            values = [_number(cell) for cell in cells]
-            if header and len(cells) == 2 and values == [None, None]:
-                header = False
+            values = [_number_in(cell) for cell in cells]
+            if may_be_header and len(cells) == 2 and values == [None, None]:
+                may_be_header = False
                 continue
-            header = False
+            may_be_header = False
             if len(values) != 2 or values[0] is None or values[1] is None:
                 raise ForecastError(
                     f"profile: line {number}: {', '.join(cells)!r} is not a pair of numbers; give the time "
@@ -144,8 +144,8 @@ class SetPoints:
         time = period * np.arange(1, size + 1, dtype=np.float64)
         if self.ramps:
             return np.interp(time, (0.0, *self.times), (self.before, *self.levels))
-        number = np.searchsorted(self.times, time + _SLACK * np.maximum(time, 1.0), side="right")
-        return np.array((self.before, *self.levels), dtype=np.float64)[number]
+        levels_begun = np.searchsorted(self.times, time + _SLACK * np.maximum(time, 1.0), side="right")
+        return np.array((self.before, *self.levels), dtype=np.float64)[levels_begun]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -163,33 +163,36 @@ class SetPoints:
 
 
 def _range_of(signal: Output | Drive | None) -> tuple[float, float, str]:
-    """The range of a plant's inputs or set-points: for set-points the safe range; where that has no limit,
-    the useful one."""
+    """Lowest and highest input or set-point that a plant takes, and the unit.
+
+    Set-points are limited by the safe range or, where that has no limit, by the usual one.
+    """
     if signal is None:
         return -math.inf, math.inf, ""
     if isinstance(signal, Drive):
         return (*signal.limits, signal.unit)
     low, high = signal.safe
-    useful_low, useful_high = signal.set_points or signal.span
+    usual_low, usual_high = signal.set_points or signal.span
     return (
-        low if math.isfinite(low) else useful_low,
-        high if math.isfinite(high) else useful_high,
+        low if math.isfinite(low) else usual_low,
+        high if math.isfinite(high) else usual_high,
         signal.unit,
     )
 
 
-def _with(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str:
     return f"{value:g} {unit}".rstrip()
 
 
 def _cells(row: Row) -> list[str]:
+    """The cells of a line of CSV, or of a row that is split already, as texts."""
     if isinstance(row, str):
         text = row.replace(";", ",").replace("\t", ",").strip()
         return [cell.strip() for cell in text.split(",")] if text else []
     return [str(cell).strip() for cell in row]
 
 
-def _number(cell: str) -> float | None:
+def _number_in(cell: str) -> float | None:
     try:
         return float(cell)
     except ValueError:

@@ -58,19 +58,19 @@ def time_to_reach(forecast: Forecast, level: float, tolerance: float) -> Moment:
     if abs(start - level) <= tolerance:
         is_within = (band.low >= level - tolerance) & (band.high <= level + tolerance)
         first = float(forecast.time[0])
-        return Moment(first, first, _first(forecast, is_within))
+        return Moment(first, first, _time_of_first(forecast, is_within))
     if start < level:
         goal = level - tolerance
         return Moment(
-            expected=_first(forecast, band.mean >= goal),
-            earliest=_first(forecast, band.high >= goal),
-            latest=_first(forecast, band.low >= goal),
+            expected=_time_of_first(forecast, band.mean >= goal),
+            earliest=_time_of_first(forecast, band.high >= goal),
+            latest=_time_of_first(forecast, band.low >= goal),
         )
     goal = level + tolerance
     return Moment(
-        expected=_first(forecast, band.mean <= goal),
-        earliest=_first(forecast, band.low <= goal),
-        latest=_first(forecast, band.high <= goal),
+        expected=_time_of_first(forecast, band.mean <= goal),
+        earliest=_time_of_first(forecast, band.low <= goal),
+        latest=_time_of_first(forecast, band.high <= goal),
     )
 
 
@@ -87,9 +87,9 @@ def settling_time(forecast: Forecast, level: float, tolerance: float) -> Moment:
     low = level - tolerance
     high = level + tolerance
     return Moment(
-        _last(forecast, np.abs(band.mean - level) <= tolerance),
-        _last(forecast, (band.high >= low) & (band.low <= high)),
-        _last(forecast, (band.low >= low) & (band.high <= high)),
+        _time_from_which_on(forecast, np.abs(band.mean - level) <= tolerance),
+        _time_from_which_on(forecast, (band.high >= low) & (band.low <= high)),
+        _time_from_which_on(forecast, (band.low >= low) & (band.high <= high)),
     )
 
 
@@ -118,17 +118,17 @@ def _check(forecast: Forecast, level: float, tolerance: float) -> None:
         raise ForecastError(msg)
 
 
-def _first(forecast: Forecast, there: NDArray[np.bool_]) -> float | None:
-    """Time of the first sample with a true entry."""
-    return float(forecast.time[int(np.argmax(there))]) if there.any() else None
+def _time_of_first(forecast: Forecast, is_there: NDArray[np.bool_]) -> float | None:
+    """Time of the first sample at which something is there; None without one."""
+    return float(forecast.time[int(np.argmax(is_there))]) if is_there.any() else None
 
 
-def _last(forecast: Forecast, there: NDArray[np.bool_]) -> float | None:
-    """Time of the first sample from which on all entries are true."""
-    if not there[-1]:
+def _time_from_which_on(forecast: Forecast, is_there: NDArray[np.bool_]) -> float | None:
+    """Time of the first sample from which on it is always there; None if it is not at the last one."""
+    if not is_there[-1]:
         return None
-    away = np.flatnonzero(~there)
-    return float(forecast.time[int(away[-1]) + 1 if away.size else 0])
+    not_there = np.flatnonzero(~is_there)
+    return float(forecast.time[int(not_there[-1]) + 1 if not_there.size else 0])
 
 
 MAX_SAMPLES: Final = 3600
@@ -175,7 +175,7 @@ class WhatIfResult:
 
 
 def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
-    """WhatIfResult a question with a twin.
+    """Answer a question with a twin.
 
     Raises:
         ForecastError: set-points or inputs out of range or in the past, a horizon that is not positive or too
@@ -190,16 +190,17 @@ def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
         )
     output = plant.output
     standing = one_of_each("level", outlook.standing)
-    size = _samples(question.horizon, outlook)
+    size = _size_of(question.horizon, outlook)
     if question.times or question.levels:
         ahead = SetPoints(standing, question.times, question.levels, question.ramps, signal=outlook.signal)
     else:
         ahead = SetPoints.constant(standing)
     tolerance = NEAR * output.noise if question.tolerance is None else question.tolerance
     forecast = outlook.forecast(ahead.ahead(period, size))
-    last = (ahead.levels or (ahead.before,))[-1] if outlook.closed else float(forecast.output.mean[-1])
-    level = last if question.level is None else question.level
-    notes = ahead.notes + _beyond(size, outlook)
+    last_set_point = (ahead.levels or (ahead.before,))[-1]
+    usual_level = last_set_point if outlook.closed else float(forecast.output.mean[-1])
+    level = usual_level if question.level is None else question.level
+    notes = ahead.notes + _note_on_length(size, outlook)
     if notes:
         forecast = dataclasses.replace(forecast, notes=forecast.notes + notes)
     return WhatIfResult(
@@ -212,7 +213,8 @@ def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
     )
 
 
-def _samples(horizon: float | None, outlook: Outlook) -> int:
+def _size_of(horizon: float | None, outlook: Outlook) -> int:
+    """Samples in a horizon, s; None: in the longest at which bands are learned."""
     period = outlook.period
     if horizon is None:
         return outlook.leads[-1]
@@ -225,7 +227,8 @@ def _samples(horizon: float | None, outlook: Outlook) -> int:
     return size
 
 
-def _beyond(size: int, outlook: Outlook) -> tuple[str, ...]:
+def _note_on_length(size: int, outlook: Outlook) -> tuple[str, ...]:
+    """A note if a forecast of so many samples is longer than any that was scored."""
     judged = outlook.leads[-1]
     if size <= judged:
         return ()

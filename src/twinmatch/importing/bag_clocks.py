@@ -1,7 +1,8 @@
 """The times of a bag's messages by one clock.
 
-Times are those of the headers, and those of the bag where messages have none. Headers that share another
-clock, as that of a simulator, count for all: the time constants of the plant are in it.
+The time of a message is that of its header or, without one, that at which the bag recorded it. Headers may
+share a clock that is not the bag's, such as a simulator's. Then messages without a header get their times by
+it, too: the plant moves by that clock.
 """
 
 from __future__ import annotations
@@ -41,23 +42,26 @@ def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times,
     """The times of all messages by one clock, and a note if the headers have another than the bag."""
     all_series = list(chain.from_iterable(recorded.values()))
     with_stamps = [series for series in all_series if series.has_stamp.any()]
-    offset = max((_usual_size(series.logged - series.stamped) for series in with_stamps), default=0.0)
-    if offset <= _ALIKE.offset:
+    largest_offset = max((_usual_size(series.logged - series.stamped) for series in with_stamps), default=0.0)
+    if largest_offset <= _ALIKE.offset:
         return _times(recorded, lambda series: _stamps_or(series.logged, series)), []
     clock = _HeaderClock.of(with_stamps, _RecordingTime.of(all_series))
     if not (clock.moves and clock.is_shared_by(with_stamps)):
-        own_clocks = (
-            f"The headers have clocks of their own, up to {offset:.3g} s from that of the bag; the times of "
-            "the bag are used instead."
+        own_clocks_note = (
+            f"The headers have clocks of their own, up to {largest_offset:.3g} s from that of the bag; the "
+            "times of the bag are used instead."
         )
-        return _times(recorded, lambda series: series.logged), [own_clocks]
+        return _times(recorded, lambda series: series.logged), [own_clocks_note]
     times = _times(recorded, lambda series: _stamps_or(clock.at(series), series))
     pace = "" if abs(clock.rate - 1) <= _ALIKE.rate else f", {clock.rate:.3g} times as fast"
-    shared = f"The headers share a clock of their own, which counts: {offset:.3g} s from the bag's{pace}."
-    return times, [shared]
+    shared_clock_note = (
+        f"The headers share a clock of their own, which counts: {largest_offset:.3g} s from the bag's{pace}."
+    )
+    return times, [shared_clock_note]
 
 
 def _times(recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]) -> Times:
+    """The times that this function gives for every channel."""
     times = {}
     for name, channels in recorded.items():
         times[name] = [times_of(series) for series in channels]
@@ -70,7 +74,7 @@ def _stamps_or(times: FloatArray, series: Series) -> FloatArray:
 
 
 def _usual_size(differences: FloatArray) -> float:
-    """The median of the sizes of those that are known."""
+    """The median size of those differences that are not NaN."""
     return float(np.median(np.abs(differences[np.isfinite(differences)])))
 
 
@@ -86,8 +90,8 @@ class _RecordingTime(NamedTuple):
     def of(cls, all_series: Sequence[Series]) -> _RecordingTime:
         all_places = np.concatenate([series.place for series in all_series])
         all_logged = np.concatenate([series.logged for series in all_series])
-        places, first = np.unique(all_places, return_index=True)
-        steps = np.maximum(np.diff(all_logged[first]), 0.0)
+        places, first_of_place = np.unique(all_places, return_index=True)
+        steps = np.maximum(np.diff(all_logged[first_of_place]), 0.0)
         return cls(places, np.append(0.0, np.cumsum(steps)))
 
     def at(self, places: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """The files of bags: MCAP and SQLite (rosbag2), `.bag` (ROS 1), all messages in the order of recording.
 
-`Scan` reads MCAP, as far as it is intact; the other two passes look like it. What follows the last field of a
+A pass over a file gives its messages. `Scan` is that over MCAP, which is read as far as it is intact;
+`SqliteScan` and `Ros1Scan` have the same interface. What follows the last field of a
 message is not read: rclpy writes some bytes too many, which the library `rosbags` would refuse.
 """
 
@@ -30,10 +31,8 @@ _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 """Begins a message that rosbag2 compressed alone; CDR begins with a zero."""
 _NEXT_IDL: Final = re.compile(r"^=+\nIDL: .*\n", re.MULTILINE)
 """What separates the parts of a definition in IDL."""
-_BESIDE: Final = ("-wal", "-journal")
-"""What SQLite leaves beside a file while it writes."""
-
-
+_JOURNAL_SUFFIXES: Final = ("-wal", "-journal")
+"""Of files that SQLite keeps beside a database while it writes."""
 _ROWS: Final = """SELECT topic_id, CAST(timestamp AS INTEGER), CAST(data AS BLOB)
                   FROM messages ORDER BY rowid"""
 
@@ -47,30 +46,35 @@ class SqliteScan(Scan):
         Raises:
             RecordingError: the file cannot be opened, is damaged, or is not a bag.
         """
-        lost = 0
+        without_topic = 0
         try:
             with _database(self.path) as data:
                 topics = self._topics_in(data)
-                for number, stamp, content in data.execute(_ROWS):
-                    if number in topics:
-                        yield Message(topics[number], stamp or 0, stamp or 0, content or b"")
+                for topic_id, stamp, content in data.execute(_ROWS):
+                    if topic_id in topics:
+                        yield Message(topics[topic_id], stamp or 0, stamp or 0, content or b"")
                     else:
-                        lost += 1
+                        without_topic += 1
         except (sqlite3.Error, OSError, LookupError) as error:
             problem = (
                 f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
             )
             raise RecordingError(f"{self.path}: {problem}") from error
-        if lost:
-            self.fault = f"{lost} messages belong to no topic and are left out"
+        if without_topic:
+            self.fault = f"{without_topic} messages belong to no topic and are left out"
 
     def _topics_in(self, data: sqlite3.Connection) -> dict[int, Topic]:
+        """The topics of the file by their numbers in it.
+
+        Raises:
+            RecordingError: it has no tables as a bag has them.
+        """
         tables = {name for (name,) in data.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not {"messages", "topics"} <= tables:
             raise RecordingError(f"{self.path}: has no tables messages and topics, as a bag has")
         data.row_factory = sqlite3.Row
-        stated = "message_definitions" in tables  # since Iron
-        rows = data.execute("SELECT * FROM message_definitions ORDER BY id") if stated else []
+        has_definitions = "message_definitions" in tables  # since ROS 2 Iron
+        rows = data.execute("SELECT * FROM message_definitions ORDER BY id") if has_definitions else []
         definitions = {row["topic_type"]: dict(row) for row in rows}
         topics = {}
         for row in map(dict, data.execute("SELECT * FROM topics ORDER BY id")):
@@ -91,17 +95,31 @@ class SqliteScan(Scan):
 
 @contextmanager
 def _database(path: Path) -> Iterator[sqlite3.Connection]:
-    """An SQLite file, with what a killed recorder left beside it; none of these files is changed."""
+    """An SQLite file, with the messages that a killed recorder left in a journal; no file is changed.
+
+    SQLite itself would change them: it moves a journal into the database. So both are copied.
+    """
     open_regular(path).close()
-    beside = [path.with_name(path.name + suffix) for suffix in _BESIDE]
-    beside = [file for file in beside if file.is_file() and file.stat().st_size]
-    with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
-        for file in (path, *beside) if beside else ():
-            shutil.copyfile(file, Path(folder) / file.name)
-        place = Path(folder) / path.name if beside else path
-        mode = "mode=rw" if beside else "mode=ro&immutable=1"
-        with closing(sqlite3.connect(f"{place.absolute().as_uri()}?{mode}", uri=True)) as data:
+    journals = _journals_of(path)
+    if not journals:
+        with closing(_connected(path, "mode=ro&immutable=1")) as data:
             yield data
+        return
+    with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
+        for file in (path, *journals):
+            shutil.copyfile(file, Path(folder) / file.name)
+        with closing(_connected(Path(folder) / path.name, "mode=rw")) as data:
+            yield data
+
+
+def _journals_of(path: Path) -> list[Path]:
+    """The journals of a database that are not empty."""
+    files = [path.with_name(path.name + suffix) for suffix in _JOURNAL_SUFFIXES]
+    return [file for file in files if file.is_file() and file.stat().st_size]
+
+
+def _connected(path: Path, mode: str) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True)
 
 
 class Ros1Scan(Scan):
@@ -116,8 +134,8 @@ class Ros1Scan(Scan):
         from rosbags.rosbag1 import Reader  # noqa: PLC0415 — an extra
         from rosbags.rosbag1.reader import IndexData  # noqa: PLC0415
 
-        class Placed(IndexData):
-            """An entry of the index, which comes where it is in the file."""
+        class ByPosition(IndexData):
+            """An entry of the index, sorted by its position in the file; the library sorts by time."""
 
             __slots__ = ()
 
@@ -128,10 +146,14 @@ class Ros1Scan(Scan):
             open_regular(self.path).close()
             with Reader(self.path) as reader:
                 topics = {
-                    c.id: Topic(c.topic, c.msgtype, c.msgdef.data, "", encoding="ros1")
-                    for c in reader.connections
+                    connection.id: Topic(
+                        connection.topic, connection.msgtype, connection.msgdef.data, "", encoding="ros1"
+                    )
+                    for connection in reader.connections
                 }
-                reader.indexes = {k: sorted(map(Placed._make, i)) for k, i in reader.indexes.items()}
+                reader.indexes = {
+                    number: sorted(map(ByPosition._make, index)) for number, index in reader.indexes.items()
+                }
                 self.topics = list(topics.values())
                 for connection, stamp, content in reader.messages():
                     yield Message(topics[connection.id], stamp, stamp, content)
@@ -151,27 +173,27 @@ def suffix_of(path: Path) -> str:
 
 @contextmanager
 def scans_of(files: Sequence[Path]) -> Iterator[Callable[[], list[Scan]]]:
-    """What makes new passes over files; those that are compressed as a whole are unpacked meanwhile.
+    """A function that makes a new pass over each file; compressed files are unpacked until the context ends.
 
     Raises:
-        RecordingError: one cannot be unpacked.
+        RecordingError: a file cannot be unpacked.
     """
     with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
-        places = [_plain(file, Path(folder)) for file in files]
-        yield lambda: [SCANS[suffix_of(place)](place) for place in places]
+        plain_files = [_unpacked(file, Path(folder)) for file in files]
+        yield lambda: [SCANS[suffix_of(plain_file)](plain_file) for plain_file in plain_files]
 
 
-def _plain(file: Path, folder: Path) -> Path:
-    """A file, or what is compressed in it, unpacked into a folder."""
+def _unpacked(file: Path, folder: Path) -> Path:
+    """The file itself or, if it is compressed as a whole, its content, unpacked into a folder."""
     if not file.name.lower().endswith(PACKED):
         return file
-    place = folder / file.stem
+    unpacked = folder / file.stem
     try:
-        with open_regular(file) as packed, place.open("wb") as plain:
+        with open_regular(file) as packed, unpacked.open("wb") as plain:
             zstandard.ZstdDecompressor().copy_stream(packed, plain)
     except (zstandard.ZstdError, OSError) as error:
         raise RecordingError(f"{file}: cannot be unpacked ({error})") from error
-    return place
+    return unpacked
 
 
 class Definition(NamedTuple):
@@ -187,37 +209,38 @@ def definition_of(topic: Topic) -> Definition:
     """How the messages of a topic are read: by the definition in its file, a standard or an installed one.
 
     Raises:
-        RecordingError: there is none, or the messages have another encoding than CDR or that of ROS 1.
+        RecordingError: no definition can be used, or the messages are neither in CDR nor as in ROS 1.
     """
     return _definition(topic._replace(name="", qos=Qos()))
 
 
 @lru_cache(maxsize=256)
 def _definition(topic: Topic) -> Definition:
+    """As `definition_of`, for a topic without what the definition does not depend on."""
     if topic.encoding not in ("cdr", "ros1"):
         raise RecordingError(f"messages in {topic.encoding or 'an unnamed encoding'} are not read, only CDR")
-    why = f"the bag does not contain the definition of {topic.type}; source the workspace that has it"
-    for stored in (_stated, _standard, _installed):
+    problem = f"the bag does not contain the definition of {topic.type}; source the workspace that has it"
+    for store_of in (_in_file, _standard, _installed):
         try:
-            store = stored(topic)
+            store = store_of(topic)
             parsed = store.get_msgdef(topic.type)
-            asked = topic.type_hash if stored is not _stated else ""
-            is_same = not asked or store.hash_rihs01(topic.type) == asked
+            wanted_hash = topic.type_hash if store_of is not _in_file else ""
+            has_wanted_hash = not wanted_hash or store.hash_rihs01(topic.type) == wanted_hash
         except (KeyError, SessionError):
-            continue  # it is not there, or one nested in it is not
+            continue  # this source lacks the type, or one that is nested in it
         except Exception as error:  # the library raises many kinds for what it cannot read
-            why = f"the definition of {topic.type} cannot be read ({first_line(error)})"
+            problem = f"the definition of {topic.type} cannot be read ({first_line(error)})"
             continue
-        if not is_same:
-            why = f"{topic.type} was recorded with another definition than that which is installed"
+        if not has_wanted_hash:
+            problem = f"{topic.type} was recorded with another definition than that which is installed"
             continue
         ros1 = partial(store.deserialize_ros1, typename=topic.type)
         fields_of = partial(_fields_in, store)
         return Definition(fields_of, ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, parsed))
-    raise RecordingError(why)
+    raise RecordingError(problem)
 
 
-def _stated(topic: Topic) -> Any:
+def _in_file(topic: Topic) -> Any:
     """The types that the file defines."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415
 
@@ -243,8 +266,8 @@ def _common() -> Any:
 
 
 def _installed(topic: Topic) -> Any:
-    """The types that the workspace defines."""
-    return _stated(topic._replace(schema=schema_of(topic.type), language="ros2msg"))
+    """The types that the sourced workspace defines."""
+    return _in_file(topic._replace(schema=schema_of(topic.type), language="ros2msg"))
 
 
 def _fields_in(store: Any, kind: str) -> dict[str, Field]:
@@ -268,10 +291,10 @@ def _from_cdr(store: Any, parsed: Any, data: bytes) -> Any:
         if not 0 <= size <= MAX_UNPACKED:
             raise RecordingError(f"a compressed message of {size} bytes; {MAX_UNPACKED} is the most")
         data = zstandard.decompress(data)
-    read = {b"\0\0": parsed.deserialize_cdr_be, b"\0\1": parsed.deserialize_cdr_le}.get(data[:2])
-    if read is None:
+    deserialize = {b"\0\0": parsed.deserialize_cdr_be, b"\0\1": parsed.deserialize_cdr_le}.get(data[:2])
+    if deserialize is None:
         raise RecordingError(f"{data[:4].hex(' ')} does not begin plain CDR")
-    return read(data[4:], 0, parsed.cls, store)[0]
+    return deserialize(data[4:], 0, parsed.cls, store)[0]
 
 
 def first_line(error: Exception) -> str:

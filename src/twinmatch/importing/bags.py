@@ -48,7 +48,7 @@ class BagTopic(NamedTuple):
     numbers: tuple[str, ...]
     """Paths of the numbers in a message."""
     why: str = ""
-    """Why there are none, if its messages cannot be read."""
+    """Why its messages cannot be read; empty if they can."""
 
 
 class Series(NamedTuple):
@@ -85,8 +85,8 @@ class Bag:
 
     MAX_TOPICS: Final = 1000
     """Most topics of a bag: graphs of robots have some hundreds."""
-    _MANY: Final = 40
-    """Topics that an error lists."""
+    _MOST_LISTED: Final = 40
+    """Most topics that an error lists."""
     PROGRESS_EVERY: Final = 500
     """Messages between two reports of progress."""
 
@@ -96,7 +96,7 @@ class Bag:
         Args:
             path: its folder or file.
             scans: makes new passes over its files.
-            notes: what is known already of its files, as sentences.
+            notes: sentences about its files, without full stop, such as that one is missing.
 
         Raises:
             RecordingError: there are too many topics, or a file is damaged and nothing of it can be read.
@@ -135,7 +135,7 @@ class Bag:
     @property
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
-        topics = {name: self._topic(name) for name in sorted(self._topics)}
+        topics = {name: self._overview_of(name) for name in sorted(self._topics)}
         paths_by_name: dict[str, dict[str, None]] = {  # sets that keep their order
             name: {} for name, topic in topics.items() if len(topic.numbers) <= _LISTING.numbers
         }
@@ -171,13 +171,14 @@ class Bag:
 
         Args:
             channels: topics and paths.
-            most: most messages read per topic, and none of a topic with damaged ones; all if not given.
+            most: most messages read per topic; a topic with a damaged one then has no numbers. If not given,
+                all are read.
             progress: called with the number of messages read and their total.
 
         Raises:
             RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
-        readings = [_ChannelReadings(*self._check(channel)) for channel in channels]
+        readings = [_ChannelReadings(*self._resolved(channel)) for channel in channels]
         by_topic: dict[str, list[_ChannelReadings]] = {}
         for channel_readings in readings:
             by_topic.setdefault(channel_readings.channel.topic, []).append(channel_readings)
@@ -197,22 +198,25 @@ class Bag:
         return [channel_readings.series() for channel_readings in readings]
 
     def _named_error(self, error: TwinmatchError) -> RecordingError:
-        """The error, which says of which bag it is."""
+        """The error with the path of the bag, which a `RecordingError` names already."""
         return error if isinstance(error, RecordingError) else RecordingError(f"{self.path}: {error}")
 
     def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
-        """The messages of topics in the order of recording, or the first few of each; `topics` may shrink."""
-        wanted = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
-        if not wanted:
+        """The messages of topics in the order of recording: of each the first `most`, or all.
+
+        The caller may remove topics of which it wants no further message.
+        """
+        remaining = dict.fromkeys(topics, most or -1)  # from -1 it never reaches 0
+        if not remaining:
             return
         for message in chain.from_iterable(self._scans()):
             name = message.topic.name
-            if name in wanted and name in topics:
-                wanted[name] -= 1
+            if name in remaining and name in topics:
+                remaining[name] -= 1
                 yield message
-                if not wanted[name]:
-                    del wanted[name]
-            if not wanted:
+                if not remaining[name]:
+                    del remaining[name]
+            if not remaining:
                 return
 
     def _decoded(self, message: Message) -> Any:
@@ -223,11 +227,16 @@ class Bag:
             problem = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
             raise RecordingError(f"{self.path}: {name}: {problem}") from error
 
-    def _check(self, channel: Channel) -> tuple[Channel, str]:
+    def _resolved(self, channel: Channel) -> tuple[Channel, str]:
+        """The channel with names as the bag has them, and its message type.
+
+        Raises:
+            RecordingError: it is not in the bag, or cannot be read.
+        """
         topics = self._topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:
-            present = ", ".join(sorted(topics)[: self._MANY]) or "none"
+            present = ", ".join(sorted(topics)[: self._MOST_LISTED]) or "none"
             raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {present}")
         if not self._counts[name]:
             raise RecordingError(f"{self.path}: topic {name} has no messages; map another one")
@@ -246,7 +255,8 @@ class Bag:
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {name}: {error}, or map another topic") from None
 
-    def _topic(self, name: str) -> BagTopic:
+    def _overview_of(self, name: str) -> BagTopic:
+        """A topic, with the numbers of its messages if these can be read."""
         kinds = sorted({topic.type for topic in self._topics[name]})
         if len(kinds) > 1:
             return BagTopic(name, "several types", self._counts[name], (), " and ".join(kinds))
@@ -268,7 +278,7 @@ class _ChannelReadings:
         self._rows: list[tuple[float, float, float, float]] = []
 
     def take(self, place: int, raw: Message, message: Any) -> None:
-        """Take the number of a message, read as the `place`-th one."""
+        """Take the number in the `place`-th message: `raw` as recorded, `message` decoded."""
         number = self._followed.number(message)
         if number is not None:  # else it is about other elements, perhaps of another publisher
             self._rows.append((place, raw.log_time / 1e9, _stamp(message), number))
@@ -278,16 +288,16 @@ class _ChannelReadings:
         self._rows.clear()
 
     def series(self) -> Series:
-        """What was taken."""
+        """The numbers taken so far."""
         columns = np.array(self._rows, dtype=np.float64).reshape(-1, 4).T
         return Series(self._kind, self.channel.path, *columns)
 
 
 def _partly_read(scan: Scan, messages: int) -> str:
-    """The fault of a file of which so many messages were read.
+    """A sentence on the fault of a file, and how many messages were read in spite of it.
 
     Raises:
-        RecordingError: none were.
+        RecordingError: no message was read.
     """
     if not messages:
         raise RecordingError(f"{scan.path}: {scan.fault}; no message can be read")
@@ -295,7 +305,7 @@ def _partly_read(scan: Scan, messages: int) -> str:
 
 
 def _can_be_listed(topic: BagTopic) -> bool:
-    """Whether a message has few numbers, a list counted as one."""
+    """Whether its messages have few enough numbers for an overview; a list counts as one."""
     return len({path.split("[")[0] for path in topic.numbers}) <= _LISTING.numbers
 
 

@@ -54,7 +54,7 @@ _INPUT: Final = re.compile(
     r"heater|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
     re.IGNORECASE,
 )
-_AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
+_ROOM: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
 _TIME: Final = re.compile(
     r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
 )
@@ -64,8 +64,8 @@ _TIME: Final = re.compile(
 class CommandedColumns:
     """Which columns look commanded rather than measured.
 
-    They have few different values, or hold their value and jump. A slow reading that is rounded repeats its
-    value as often, but moves by one digit.
+    A commanded column has few different values, or holds its value and jumps. A slow reading that is rounded
+    repeats its value as often, but moves by one digit.
     """
 
     different: int = 12
@@ -78,18 +78,29 @@ class CommandedColumns:
 
 @dataclass(frozen=True)
 class TitledTimes:
-    """Which columns with the title of a time are one, although they do not grow in each row."""
+    """Which columns that do not grow in each row are taken as times because of their title."""
 
-    back: float = 0.1
+    steps_back: float = 0.1
     """Most steps back, as a share of those forward."""
-    twice: float = 0.05
+    repeats: float = 0.05
     """Largest share of rows that may repeat the time before."""
 
 
 _COMMANDED: Final = CommandedColumns()
 _TITLED: Final = TitledTimes()
-_TIMES: Final = ("time", "t", "timestamp", "seconds", "sec", "elapsed", "zeit", "temps", "tiempo", "tempo")
-"""Titles of times that may also stand still or go back."""
+_SURE_TIMES: Final = (
+    "time",
+    "t",
+    "timestamp",
+    "seconds",
+    "sec",
+    "elapsed",
+    "zeit",
+    "temps",
+    "tiempo",
+    "tempo",
+)
+"""Names of columns that are taken as times even if they go back now and then."""
 
 
 class Column(NamedTuple):
@@ -131,7 +142,7 @@ def _column(table: Table, title: str) -> Column:
 def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Column:
     """The summary of a column of numbers, shape (N,), nan in rows without a value.
 
-    `ordered`: whether it may be a time, and whether it holds its value is of interest.
+    `ordered`: whether the values are in the order of time, so that the column may be a time or stepped.
     """
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -145,12 +156,12 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
         different=int(different.size),
         empty=values.size - finite.size,
         kind=_kind(title, finite, different, ordered=ordered),
-        stepped=ordered and _stepped(finite),
+        stepped=ordered and _is_stepped(finite),
     )
 
 
 def _kind(title: str, finite: FloatArray, different: FloatArray, *, ordered: bool) -> str:
-    """The kind of a column with these values, some of them `different`."""
+    """The kind of a column with these `finite` values, in their order; `different` has each of them once."""
     if different.size == 1:
         return "constant"
     if ordered and _is_time(title, finite):
@@ -172,12 +183,13 @@ def _is_time(title: str, finite: FloatArray) -> bool:
     name, _ = split_title(title)
     if _TIME.search(name) is None:
         return False
-    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TITLED.twice * steps.size)
-    set_back_rarely = bool((steps < 0).sum() <= _TITLED.back * (steps > 0).sum())
-    return bool(repeats_rarely or (set_back_rarely and name.lower() in _TIMES))
+    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TITLED.repeats * steps.size)
+    set_back_rarely = bool((steps < 0).sum() <= _TITLED.steps_back * (steps > 0).sum())
+    return bool(repeats_rarely or (set_back_rarely and name.lower() in _SURE_TIMES))
 
 
-def _stepped(values: FloatArray) -> bool:
+def _is_stepped(values: FloatArray) -> bool:
+    """Whether a column mostly holds its value and else jumps."""
     changes = np.abs(np.diff(values))
     moved = changes[changes > 0]
     if not moved.size or moved.size > (1.0 - _COMMANDED.repeated) * changes.size:
@@ -205,21 +217,24 @@ def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
 
 
 def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
-    """Columns that may be a signal, what tells most first: a title, then how the values behave."""
+    """Signals, each with columns that may be it; a signal comes again with weaker candidates.
+
+    Pairs are tried in this order: what a title says comes before how the values behave.
+    """
     titled_inputs = _named(columns, _INPUT, ("on or off", "numbers"))
     titled_outputs = _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))
-    numbers = _of(columns, "numbers")
+    numbers = _of_kind(columns, "numbers")
     return [
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
-        ("room", _named(columns, _AROUND, ("numbers", "constant"))),
+        ("room", _named(columns, _ROOM, ("numbers", "constant"))),
         ("input", [column for column in titled_inputs if column.stepped or column.kind == "on or off"]),
         ("input", titled_inputs),
         ("input", [column for column in numbers if column.stepped]),
         ("output", [column for column in titled_outputs if not column.stepped]),
         ("output", titled_outputs),
-        ("time", _of(columns, "time")),
-        ("input", _of(columns, "on or off")),
+        ("time", _of_kind(columns, "time")),
+        ("input", _of_kind(columns, "on or off")),
         ("input", [column for column in numbers if column.different <= _COMMANDED.different]),
         ("output", _liveliest(numbers)),
         ("input", numbers),
@@ -233,21 +248,21 @@ SEEN: Final = (
 
 
 def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> bool:
-    """Whether Input and Output are those of the controller, as PID libraries call them.
+    """Whether Input and Output are the controller's, as in PID libraries: Input is what it measures.
 
-    The set-point tells: what is measured follows it.
+    The set-point tells, since what is measured follows it: its range is then nearer to that of Input.
     """
-    pair = _in_and_out(columns)
+    input_and_output = _in_and_out(columns)
     references = sources["reference"].places if "reference" in sources else ()
     reference = next((column for column in columns if column.title in references), None)
-    if len(pair) != 2 or reference is None:
+    if len(input_and_output) != 2 or reference is None:
         return False
-    input_apart, output_apart = (_apart(column, reference) for column in pair)
-    return input_apart < output_apart
+    input_distance, output_distance = (_distance(column, reference) for column in input_and_output)
+    return input_distance < output_distance
 
 
-def _apart(column: Column, other: Column) -> float:
-    """How far the ranges of two columns are apart."""
+def _distance(column: Column, other: Column) -> float:
+    """How far the lowest and the highest values of two columns differ, together."""
     return abs(column.low - other.low) + abs(column.high - other.high)
 
 
@@ -258,10 +273,11 @@ def _in_and_out(columns: Sequence[Column]) -> list[Column]:
 
 
 def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> list[Column]:
+    """The columns of these kinds whose names, without units, match."""
     return [c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0])]
 
 
-def _of(columns: Sequence[Column], kind: str) -> list[Column]:
+def _of_kind(columns: Sequence[Column], kind: str) -> list[Column]:
     return [column for column in columns if column.kind == kind]
 
 

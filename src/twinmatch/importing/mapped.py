@@ -24,8 +24,8 @@ from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
 
-_ODD = 0.01
-"""Up to this share of readings beyond the sensor's span, the sensor is suspected rather than the unit."""
+_FAILED_SENSOR_SHARE = 0.01
+"""Largest share of readings beyond the sensor's span that is blamed on the sensor, not on a wrong unit."""
 
 _MARKS = (-999.0, -9999.0, -99999.0, -999.9, -999.99)
 """Numbers that loggers write where there is no value."""
@@ -81,14 +81,19 @@ def _titles_by_name(table: Table) -> dict[str, list[str]]:
 
 
 def _own_names_first(names_by_signal: Mapping[str, Sequence[str]]) -> list[tuple[str, Sequence[str]]]:
-    """Signals that the plant gives a name of its own before the others: a drive may be called output."""
-    return sorted(names_by_signal.items(), key=lambda entry: len(entry[1]) == 1)
+    """The signals with their names, those first that the plant calls otherwise, too.
+
+    A plant may call its drive `output`: a column of that name is then the drive, not the output.
+    """
+    named_otherwise = [(signal, names) for signal, names in names_by_signal.items() if len(names) > 1]
+    others = [(signal, names) for signal, names in names_by_signal.items() if len(names) <= 1]
+    return named_otherwise + others
 
 
 def _only_free_title(
     titles_by_name: Mapping[str, Sequence[str]], names: Iterable[str], used_titles: Container[str]
 ) -> str | None:
-    """The title of the first of these names that one free column has alone."""
+    """The title of the first of these names that exactly one column has, if that column is not used yet."""
     for name in names:
         titles = titles_by_name.get(name.lower(), ())
         if len(titles) == 1 and titles[0] not in used_titles:
@@ -121,7 +126,7 @@ def map_samples(
     sources = {
         signal: with_titles(table, source) for signal, source in by_signal(plant, signal_map.sources).items()
     }
-    signals, notes = _wanted(table, plant, replace(signal_map, sources=sources))
+    signals, notes = _signals_to_read(table, plant, replace(signal_map, sources=sources))
     times = times_of(table, sources.get(TIME), signal_map.period)
     values = {
         signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
@@ -177,12 +182,13 @@ def _rows_with_values(
 
 
 def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
-    slow = time_constant(plant)
-    if 0.0 < slow < period:
+    """Refuse rows so far apart that the plant settles between two of them: the times are in another unit."""
+    settles_in = time_constant(plant)
+    if 0.0 < settles_in < period:
         raise RecordingError(
-            f"{table.path}: its rows are {period:g} s apart, but {plant.title} settles within {slow:.3g} s: "
-            "nothing of that could be seen. If the times are in another unit, write 'time=COLUMN; unit=ms' "
-            f"or the like; if they are right, give --period {period:g}"
+            f"{table.path}: its rows are {period:g} s apart, but {plant.title} settles within "
+            f"{settles_in:.3g} s: nothing of that could be seen. If the times are in another unit, write "
+            f"'time=COLUMN; unit=ms' or the like; if they are right, give --period {period:g}"
         )
 
 
@@ -204,18 +210,21 @@ def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] =
         RecordingError: something is missing.
     """
     missing = [signal for signal in needed if signal not in signal_map.sources]
-    missing = missing if signal_map.period is not None or TIME in signal_map.sources else [TIME, *missing]
+    if signal_map.period is None and TIME not in signal_map.sources:
+        missing = [TIME, *missing]
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
             f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)}; "
             f"its columns are {table.titles}"
         )
-        rows = ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
-        raise RecordingError(msg + (rows if TIME in missing else ""))
+        without_times = (
+            ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
+        )
+        raise RecordingError(msg + (without_times if TIME in missing else ""))
 
 
-def _wanted(
+def _signals_to_read(
     table: Table, plant: type[Plant], signal_map: SignalMap
 ) -> tuple[dict[str, PlantSignal], list[str]]:
     """The plant's signals that are taken from the table, and notes on those that are not there.
@@ -290,12 +299,14 @@ def _values(table: Table, source: SignalSource, signal: str, plant_signal: Plant
 def without_marks(values: FloatArray) -> FloatArray:
     """A column with nan where a logger wrote -999 or the like for "no value", shape (N,).
 
-    It is a mark where no other reading comes near it.
+    Such a number is a mark if no other reading comes near it: none is less than half of it.
     """
     finite = values[np.isfinite(values)]
-    marks = np.isin(finite, _MARKS)
-    readings = finite[~marks]
-    if not marks.any() or not readings.size or readings.min() < 0.5 * float(finite[marks].max()):
+    is_mark = np.isin(finite, _MARKS)
+    if not is_mark.any() or is_mark.all():
+        return values
+    least_reading = finite[~is_mark].min()
+    if least_reading < 0.5 * float(finite[is_mark].max()):
         return values
     return np.where(np.isin(values, _MARKS), np.nan, values)
 
@@ -333,7 +344,7 @@ def check_range(
         f"{signal} is {values[first]:g} {plant_signal.unit}{further}, beyond the {bounds}, "
         f"{low:g} to {high:g}"
     )
-    if plant_signal.kind == "reading" and outside.size <= _ODD * used_rows.size:
+    if plant_signal.kind == "reading" and outside.size <= _FAILED_SENSOR_SHARE * used_rows.size:
         return [f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."]
     raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, plant_signal, values[used_rows])}")
 
@@ -343,19 +354,20 @@ def _all_in_range(values: FloatArray, plant_signal: PlantSignal) -> bool:
 
 
 def _hint(signal: str, plant_signal: PlantSignal, values: FloatArray) -> str:
+    """What to write into the map: the first unit or factor with which all values are in the plant's range."""
     for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
         try:
             change = conversion(unit, plant_signal.unit)
         except TwinmatchError:
             continue
         with np.errstate(over="ignore"):
-            within = values * change.scale + change.offset
-        if change != Conversion() and _all_in_range(within, plant_signal):
+            converted = values * change.scale + change.offset
+        if change != Conversion() and _all_in_range(converted, plant_signal):
             return f"if the column is in {unit or 'parts of one'}, write '{signal}=COLUMN; unit={unit or 1}'"
     for scale in (0.01, 100.0, 1e-3, 1e3, 100 / 255, 1 / 255):
         with np.errstate(over="ignore"):  # of damaged files
-            within = values * scale
-        if within.max() > 0.2 * plant_signal.high and _all_in_range(within, plant_signal):
+            converted = values * scale
+        if converted.max() > 0.2 * plant_signal.high and _all_in_range(converted, plant_signal):
             return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
     return "map another column, give its unit, or widen the plant's range if the values are right"
 

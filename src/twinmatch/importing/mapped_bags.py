@@ -57,18 +57,18 @@ def map_bag(
         bag_notes = bag.notes
     times, clock_notes = times_by_one_clock(recorded)
     placed = _placed(recorded, times)
-    usual = usual_step(np.diff(times[loop.outputs[0]][0]))
-    stretches = Stretches.of(list(chain.from_iterable(placed.values())), usual)
-    put = {}
+    step_of_readings = usual_step(np.diff(times[loop.outputs[0]][0]))
+    stretches = Stretches.of(list(chain.from_iterable(placed.values())), step_of_readings)
+    times_in_stretches = {}
     for name, channels in placed.items():
-        put[name] = [stretches.put(channel) for channel in channels]
-    signals, losses = _signals(path, loop, recorded, followed, put)
+        times_in_stretches[name] = [stretches.put(channel) for channel in channels]
+    signals, losses = _signals(path, loop, recorded, followed, times_in_stretches)
     rows = _Rows(path, loop, signals, sources)
-    used, row_losses = rows.with_all_signals(longest, gaps)
-    table = _table(path, rows.columns(used, longest), used, stretches)
+    is_used, row_losses = rows.with_all_signals(longest, gaps)
+    table = _table(path, rows.columns(is_used, longest), is_used, stretches)
     run = map_samples(table, _own_map(table, signal_map), plant, longest=longest, gaps=gaps)
     counts = {name: channels[0].values.size for name, channels in recorded.items()}
-    account = _account(counts, loop, int(used.sum()), [*losses, *row_losses])
+    account = _account(counts, loop, int(is_used.sum()), [*losses, *row_losses])
     return run._replace(sources=sources, notes=[*run.notes, *bag_notes, *clock_notes, account])
 
 
@@ -165,30 +165,30 @@ class _Rows(NamedTuple):
         return self.signals[self.output].times
 
     def with_all_signals(self, longest: float | None, gaps: Gaps) -> tuple[NDArray[np.bool_], list[Loss]]:
-        """Which readings have all other signals, and how many have not.
+        """Which readings have all other signals, shape (N,), and how many lack one, by reason.
 
         Raises:
             RecordingError: a signal that arrives periodically has a hole that is to be refused, or fewer
                 than two readings have all signals.
         """
-        used = self.times >= self._all_begun()
-        losses = [Loss(int((~used).sum()), f"before the first {self._others_in_words()}")]
+        is_used = self.times >= self._all_begun()
+        losses = [Loss(int((~is_used).sum()), f"before the first {self._others_in_words()}")]
         for name, signal in self.signals.items():
             if name == self.output or name in self.loop.references:  # set-points apply until the next
                 continue
-            in_holes = np.zeros_like(used)
+            is_in_hole = np.zeros_like(is_used)
             for hole in signal.holes(self.times, longest):
-                inside = used & (self.times > hole.begin) & (self.times < hole.end)
-                if gaps == "refuse" and inside.any():
-                    self._refuse(name, hole, int(np.flatnonzero(inside)[0]))
-                in_holes |= inside
-            losses.append(Loss(int(in_holes.sum()), f"in holes of {self._described(name)}"))
-            used &= ~in_holes
-        if used.sum() < 2:
+                is_inside = is_used & (self.times > hole.begin) & (self.times < hole.end)
+                if gaps == "refuse" and is_inside.any():
+                    self._refuse(name, hole, int(np.flatnonzero(is_inside)[0]))
+                is_in_hole |= is_inside
+            losses.append(Loss(int(is_in_hole.sum()), f"in holes of {self._described(name)}"))
+            is_used &= ~is_in_hole
+        if is_used.sum() < 2:
             text = self.sources[self.output].text
             msg = f"{self.path}: fewer than two readings of {text} follow the first input; check --map"
             raise RecordingError(msg)
-        return used, losses
+        return is_used, losses
 
     def _all_begun(self) -> float:
         """The time at which all other signals of the loop have a value, s."""
@@ -215,10 +215,10 @@ class _Rows(NamedTuple):
             f"hold its last value (--bridge {math.ceil(seconds) + 1})"
         )
 
-    def columns(self, used: NDArray[np.bool_], longest: float | None) -> dict[str, FloatArray]:
+    def columns(self, is_used: NDArray[np.bool_], longest: float | None) -> dict[str, FloatArray]:
         """Columns of a table by signal, for the readings that are used."""
-        times = self.times[used]
-        columns = {TIME: times, self.output: self.signals[self.output].values[used]}
+        times = self.times[is_used]
+        columns = {TIME: times, self.output: self.signals[self.output].values[is_used]}
         for name, signal in self.signals.items():
             if name in self.loop.inputs:
                 columns[name] = signal.means(times, longest)
@@ -230,11 +230,11 @@ class _Rows(NamedTuple):
 
 
 def _table(
-    path: Path, columns: Mapping[str, FloatArray], used: NDArray[np.bool_], stretches: Stretches
+    path: Path, columns: Mapping[str, FloatArray], is_used: NDArray[np.bool_], stretches: Stretches
 ) -> Table:
     """A table of these columns with the times of the clock, whose lines are the numbers of the readings."""
     by_clock = {**columns, TIME: stretches.taken_back(columns[TIME])}
-    readings = (np.flatnonzero(used) + 1).tolist()
+    readings = (np.flatnonzero(is_used) + 1).tolist()
     return Table(path, by_clock, readings, "reading")
 
 

@@ -31,7 +31,7 @@ _HEADER: Final = 128
 """Bytes before the first variable."""
 _HEAD: Final = 1024
 """Bytes of a variable that are searched for its flags, dimensions and name."""
-_SLACK: Final = 64 * 1024
+_BESIDE_VALUES: Final = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
 
 
@@ -68,7 +68,7 @@ class _DamagedError(Exception):
 class _Variable(NamedTuple):
     name: str
     shape: tuple[int, ...]
-    real: bool
+    is_real: bool
     """Whether it is a full array of real numbers."""
     at: int
     """Where its tag begins in the file."""
@@ -107,12 +107,17 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
 
 
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
+    """The matrix of this name, with so many columns.
+
+    Raises:
+        RecordingError: there is no such matrix.
+    """
     wanted = next((variable for variable in present if variable.name == name), None)
     if wanted is None:
         ellipsis = ", …" if len(present) > _MOST.shown else ""
         names = ", ".join(variable.name[:40] for variable in present[: _MOST.shown]) or "nothing"
         raise RecordingError(f"{path}: has no matrix {name}; it has {names}{ellipsis}")
-    if not wanted.real:
+    if not wanted.is_real:
         raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
     if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != width:
         raise RecordingError(f"{path}: {name} has the shape {wanted.shape}; it needs {width} columns")
@@ -121,7 +126,7 @@ def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Vari
 
 def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
     """The vectors and matrices with the most rows; scalars are not signals."""
-    tables = [v for v in present if v.real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
+    tables = [v for v in present if v.is_real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
     if not tables:
         raise RecordingError(f"{path}: has no vector or matrix of real numbers; save the signals as arrays")
     rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in tables}
@@ -129,6 +134,7 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
+    """All variables of a file with this byte order, from their beginnings."""
     position = _HEADER
     for _ in range(_MOST.variables):
         file.seek(position)
@@ -144,7 +150,7 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
         try:
             if kind == _Element.COMPRESSED:
                 head = zlib.decompressobj().decompress(head, _HEAD)[8:]
-            yield _Variable(*_head(head, order), position, kind, size)
+            yield _Variable(*_described(head, order), position, kind, size)
         except (struct.error, zlib.error, IndexError) as error:
             raise _DamagedError(
                 f"the variable at byte {position} has no readable beginning: {error}"
@@ -153,14 +159,14 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
     raise _DamagedError(f"there are more than {_MOST.variables} variables")
 
 
-def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
+def _described(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
     """Name, shape, and whether it is a real array, from the beginning of a variable."""
     (flags,) = struct.unpack_from(f"{order}I", head, 8)
-    real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
+    is_real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
     dimensions, position = _part(head, 16, order)
     name, _ = _part(head, position, order)
     shape = struct.unpack(f"{order}{len(dimensions) // 4}i", dimensions)
-    return name.decode("latin-1"), shape, real
+    return name.decode("latin-1"), shape, is_real
 
 
 def _part(head: bytes, position: int, order: str) -> tuple[bytes, int]:
@@ -170,11 +176,13 @@ def _part(head: bytes, position: int, order: str) -> tuple[bytes, int]:
         return head[position + 4 : position + 4 + min(kind >> 16, 4)], position + 8
     if size > len(head) - position - 8:
         raise IndexError("a part is longer than the whole")
-    return head[position + 8 : position + 8 + size], position + 8 + -(-size // 8) * 8
+    padded_size = -(-size // 8) * 8  # parts begin at multiples of eight bytes
+    return head[position + 8 : position + 8 + size], position + 8 + padded_size
 
 
 def _unpack(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
-    most = math.prod(wanted.shape) * 8 + _SLACK
+    """A variable with its tag, unpacked up to the size that its dimensions allow."""
+    most = math.prod(wanted.shape) * 8 + _BESIDE_VALUES
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))
     if wanted.kind == _Element.MATRIX:

@@ -39,7 +39,7 @@ from twinmatch.signals import KELVIN, Sample, Window
 
 _SUFFIXES: Final = (".mat", ".csv")
 _MATRIX: Final = "simout"
-_OF_MATRIX: Final = (INPUT, OUTPUT, TIME, REFERENCE)
+_MATRIX_SIGNALS: Final = (INPUT, OUTPUT, TIME, REFERENCE)
 """The signals of the matrix, column by column."""
 _NAMES: Final = {
     TIME: ("time", "t", "seconds"),
@@ -49,7 +49,7 @@ _NAMES: Final = {
 }
 _UNITS: Final = {TIME: ("s",), INPUT: ()}
 _CELSIUS: Final = ("°c", "degc", "c")
-_ABOVE_ZERO: Final = PlantSignal("set", "°C", low=-KELVIN)
+_TEMPERATURE: Final = PlantSignal("set", "°C", low=-KELVIN)
 _DRIVE: Final = PlantSignal("held", Peltier.drive.unit, *Peltier.drive.limits)
 
 
@@ -66,8 +66,8 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
     if path.suffix.lower() not in _SUFFIXES and path.exists():
         problem = "is a folder; give the file in it" if path.is_dir() else f"has the suffix {path.suffix!r}"
         raise RecordingError(f"{path}: {problem}; a recording has {' or '.join(_SUFFIXES)}")
-    table = read_table(path, progress, matrix=(_MATRIX, len(_OF_MATRIX)))
-    titles = _titles(table) if table.units else dict(zip(_OF_MATRIX, table.columns, strict=True))
+    table = read_table(path, progress, matrix=(_MATRIX, len(_MATRIX_SIGNALS)))
+    titles = _titles(table) if table.units else dict(zip(_MATRIX_SIGNALS, table.columns, strict=True))
     columns = {signal: table.values(title) for signal, title in titles.items()}
     period = period_of_ticks(
         columns[TIME],
@@ -75,15 +75,25 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
         place=str(path),
         row=table.row_name,
     )
-    for signal, bounds in ((INPUT, _DRIVE), (OUTPUT, _ABOVE_ZERO), (REFERENCE, _ABOVE_ZERO)):
+    for signal, bounds in (
+        (INPUT, _DRIVE),
+        (OUTPUT, _TEMPERATURE),
+        (REFERENCE, _TEMPERATURE),
+    ):
         check_range(table, signal, bounds, columns[signal])
     return Window(columns[REFERENCE], columns[OUTPUT], columns[INPUT], period=period)
 
 
 def _titles(table: Table) -> dict[str, str]:
+    """The titles of the four columns, by signal.
+
+    Raises:
+        RecordingError: a column is missing, there twice, or in another unit.
+    """
     titles: dict[str, str] = {}
     for title in table.columns:
-        name, unit = split_title(re.sub(r" #\d+$", "", title.lower()))  # of two alike
+        without_number = re.sub(r" #\d+$", "", title.lower())  # which tells two equal titles apart
+        name, unit = split_title(without_number)
         signal = next((signal for signal, names in _NAMES.items() if name in names), None)
         if signal is None:
             continue
@@ -127,11 +137,11 @@ def open_any(
     session = _open(Path(path), topic, progress)
     if not plant:
         return session
-    kind = find_plant(plant)
+    given = find_plant(plant)
     recorded = session.plant
-    if recorded and recorded != kind.name and not is_plant_file(recorded):
-        raise SessionError(f"{path}: was recorded from plant {recorded}, not {kind.name}; leave --plant out")
-    return replace(session, plant=kind.name)
+    if recorded and recorded != given.name and not is_plant_file(recorded):
+        raise SessionError(f"{path}: was recorded from plant {recorded}, not {given.name}; leave --plant out")
+    return replace(session, plant=given.name)
 
 
 def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:

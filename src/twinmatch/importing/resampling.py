@@ -56,8 +56,8 @@ class StepRules:
 _STEPS: Final = StepRules()
 _ON_CLOCK: Final = 1e-3
 """A row this close to its tick, as a share of the period, is used unchanged."""
-_FEW: Final = 20
-"""Rows from which times that all repeat are rounded ones."""
+_FEWEST_ROUNDED: Final = 20
+"""Fewest steps from which on times that mostly repeat are taken as rounded ones."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
 
@@ -82,7 +82,7 @@ class Resampled:
     jitter: float
     """Distance of the rows from the nearest tick, root mean square, s."""
     bridged: tuple[int, ...]
-    """Rows (from 0) after which others are missing: the step is longer than 1.5 usual ones."""
+    """Rows (from 0) after which lost rows are bridged: the step is longer than 1.5 usual ones."""
     gaps: tuple[float, ...]
     """Lengths of the gaps at which the recording is split, s, in order; negative where time goes back."""
 
@@ -125,6 +125,7 @@ class Resampled:
 
 
 def _list(steps: list[float]) -> str:
+    """The sizes of the first three steps."""
     return ", ".join(f"{abs(step):.4g}" for step in steps[:3]) + (", …" if len(steps) > 3 else "")
 
 
@@ -168,7 +169,7 @@ def resample(
             where that is refused or happens often, a step that is too long, a period that is too short for
             the rows, or a column without a kind.
     """
-    stamps, values = _check(time, columns, kinds, place, row)
+    stamps, values = _checked(time, columns, kinds, place, row)
     steps = np.diff(stamps)
     _refuse_standing(stamps, place, row, split=gaps == "split")
     usual = usual_step(steps)
@@ -195,7 +196,7 @@ def resample(
         if not on_clock:
             ticks = (stretch - clock[0]) / period
             squares += float(np.sum(np.square(ticks - np.rint(ticks))))
-            piece = {name: _MOVES[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
+            piece = {name: _RESAMPLERS[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
         clocks.append(clock)
         pieces.append(piece)
     resampled = {}
@@ -203,7 +204,7 @@ def resample(
         resampled[name] = np.concatenate([piece[name] for piece in pieces])
     return Resampled(
         time=np.concatenate(clocks),
-        index=_numbers(clocks, period),
+        index=_indices(clocks, period),
         columns=resampled,
         period=period,
         rows=stamps.size,
@@ -224,7 +225,7 @@ def period_of_ticks(
     Raises:
         RecordingError: fewer than two rows, values that are not finite, or irregular or decreasing time.
     """
-    _check(time, columns, dict.fromkeys(columns, "reading"), place, row)
+    _checked(time, columns, dict.fromkeys(columns, "reading"), place, row)
     _refuse_standing(time, place, row)
     steps = np.diff(time)
     usual = usual_step(steps)
@@ -253,29 +254,30 @@ def usual_step(steps: FloatArray) -> float:
     return float(np.quantile(forward, 0.5, method="lower")) if forward.size else np.inf
 
 
-def _numbers(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
+def _indices(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
     """Indices of the samples: consecutive within a stretch; missing periods between stretches are skipped."""
-    numbers = [np.arange(clocks[0].size)]
+    indices = [np.arange(clocks[0].size)]
     for before, clock in pairwise(clocks):
-        missing = max(round(float(clock[0] - before[-1]) / period), 2)
-        numbers.append(numbers[-1][-1] + missing + np.arange(clock.size))
-    return np.concatenate(numbers).astype(np.int64)
+        increment = max(round(float(clock[0] - before[-1]) / period), 2)  # a clock set back skips one, too
+        indices.append(indices[-1][-1] + increment + np.arange(clock.size))
+    return np.concatenate(indices).astype(np.int64)
 
 
-def _check(
+def _checked(
     time: ArrayLike,
     columns: Mapping[str, ArrayLike],
     kinds: Mapping[str, Kind],
     place: str,
     row: Callable[[int], str],
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Times and columns as arrays, once shapes, kinds and values are those that `resample` needs."""
     stamps = np.asarray(time, dtype=np.float64)
     values = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
     if stamps.ndim != 1 or stamps.size < 2:
         raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
     for name, column in values.items():
-        if name not in kinds or kinds[name] not in _MOVES:
-            allowed = ", ".join(_MOVES)
+        if name not in kinds or kinds[name] not in _RESAMPLERS:
+            allowed = ", ".join(_RESAMPLERS)
             raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {allowed}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
@@ -293,15 +295,16 @@ def _check(
 def _refuse_standing(
     stamps: FloatArray, place: str, row: Callable[[int], str], *, split: bool = False
 ) -> None:
-    """Refuse time that does not advance; to `split` where it goes back, that must be rare."""
+    """Refuse time that stands still or goes back; with `split`, it may go back now and then."""
     steps = np.diff(stamps)
-    rare = split and (steps < 0).sum() <= _STEPS.back * steps.size
-    back = np.flatnonzero(steps == 0 if rare else steps <= 0)
-    if back.size:
-        first = int(back[0])
-        many = np.median(np.unique(stamps, return_counts=True)[1])
-        if many > 1 and steps.size >= _FEW and not (steps < 0).any():
-            mean = float(f"{usual_step(steps) / many:.3g}")
+    may_go_back = split and (steps < 0).sum() <= _STEPS.back * steps.size
+    refused = np.flatnonzero(steps == 0 if may_go_back else steps <= 0)
+    if refused.size:
+        first = int(refused[0])
+        rows_per_time = np.median(np.unique(stamps, return_counts=True)[1])
+        is_rounded = rows_per_time > 1 and steps.size >= _FEWEST_ROUNDED and not (steps < 0).any()
+        if is_rounded:
+            mean = float(f"{usual_step(steps) / rows_per_time:.3g}")
             raise RecordingError(
                 f"{place}: {row(first)} and {row(first + 1)} have the same time, {stamps[first]:.12g} s, and "
                 f"so on: the times have too few digits for rows about {mean:g} s apart; record more digits, "
@@ -319,6 +322,7 @@ def _refuse_standing(
 def _refuse_gap(
     steps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
 ) -> None:
+    """Refuse the steps after these rows, which are longer than `limit`."""
     first = int(cuts[0])
     further = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
     raise RecordingError(
@@ -350,18 +354,22 @@ def _all_on_clock(stretches: list[FloatArray], period: float) -> bool:
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
-    """The ticks, and whether the rows are on them."""
+    """The ticks from the first row on, s, and whether the rows are on them."""
     ticks = round(float(np.floor((stamps[-1] - stamps[0]) / period + _ON_CLOCK))) + 1
     clock = stamps[0] + period * np.arange(ticks)
     on_clock = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
     return clock, on_clock
 
 
-def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+def _resampled_reading(
+    stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float
+) -> FloatArray:
+    """A column at the ticks of a clock, linear between its rows."""
     return np.asarray(np.interp(clock, stamps, values), dtype=np.float64)
 
 
-def _held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
+def _resampled_held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
+    """The mean of a column that is held from row to row, over the period after each tick."""
     return held_means(stamps, values, clock, clock + period, period)
 
 
@@ -383,13 +391,14 @@ def held_means(
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 
 
-def _set(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+def _resampled_set(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+    """The value of the row that is nearest to each tick."""
     between = (stamps[1:] + stamps[:-1]) / 2
     return np.asarray(values[np.searchsorted(between, clock, side="left")], dtype=np.float64)
 
 
-_MOVES: Final[Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]] = {
-    "reading": _reading,
-    "held": _held,
-    "set": _set,
+_RESAMPLERS: Final[Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]] = {
+    "reading": _resampled_reading,
+    "held": _resampled_held,
+    "set": _resampled_set,
 }

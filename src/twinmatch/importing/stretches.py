@@ -16,7 +16,7 @@ __all__ = ["APART", "PlacedTimes", "Stretches"]
 APART: Final = 1e7
 """Time between two stretches while they are put one after another, s; no hole is half as long."""
 _BACK: Final = 3.0
-"""Steps back in time by so many usual steps are those of a clock; shorter ones are messages out of order."""
+"""Usual steps by which a clock that is set back goes at least; by less, messages are out of order."""
 
 
 class PlacedTimes(NamedTuple):
@@ -27,11 +27,14 @@ class PlacedTimes(NamedTuple):
     times: FloatArray
     """s, shape (N,)."""
 
-    def steps_back(self, usual: float) -> Iterator[_StepBack]:
-        """Where two messages in a row are far before the one before, by the usual step (s) at least."""
+    def steps_back(self, least_step: float) -> Iterator[_StepBack]:
+        """Where the clock was set back: two messages in a row are earlier than the one before them, by far.
+
+        Far is some usual steps of the channel, each of `least_step`, s, at least.
+        """
         if self.times.size < 3:
             return
-        allowed = _BACK * max(usual_step(np.diff(self.times)), usual)
+        allowed = _BACK * max(usual_step(np.diff(self.times)), least_step)
         earliest = self.times[:-2] - allowed
         both_before = (self.times[1:-1] < earliest) & (self.times[2:] < earliest)
         for k in np.flatnonzero(both_before).tolist():
@@ -46,21 +49,21 @@ class _StepBack(NamedTuple):
 
 
 class Stretches(NamedTuple):
-    """What adds to the times of each stretch, so that it follows the one before."""
+    """Where stretches lie once they are put one after another; each array has one value for each stretch."""
 
     places: FloatArray
-    """Place of the first message of each."""
+    """Place in the bag of its first message."""
     begins: FloatArray
-    """Time at which each begins, once it is put, s."""
+    """Time at which it begins there, s."""
     shifts: FloatArray
-    """What that adds to its times, s."""
+    """Difference between a time there and the same time by the clock, s."""
 
     @classmethod
     def of(cls, channels: Sequence[PlacedTimes], usual: float) -> Stretches:
         """Find them in the messages of all channels; `usual` is the usual step of the readings, s.
 
-        A clock that is set back shows in each channel between two of its messages. As few moments are taken
-        as explain all of them.
+        A clock that is set back shows in each channel between two of its messages. The clock is taken to have
+        been set back as rarely as explains the steps back of all channels.
         """
         steps_back = (step for channel in channels for step in channel.steps_back(usual))
         places = np.array([-math.inf, *_fewest_moments(steps_back)])
@@ -77,16 +80,19 @@ class Stretches(NamedTuple):
         return cls(places, np.array(begins), np.array(shifts))
 
     def put(self, channel: PlacedTimes) -> FloatArray:
-        """The times of a channel's messages where their stretches are put."""
+        """The times of a channel's messages once the stretches are put one after another."""
         return np.asarray(channel.times + self.shifts[_stretch_of(self.places, channel.places)])
 
     def taken_back(self, times: FloatArray) -> FloatArray:
-        """The times of the clock, of times in stretches that are put one after another."""
+        """The times by the clock that belong to times given by `put`."""
         return np.asarray(times - self.shifts[_stretch_of(self.begins, times)])
 
 
 def _fewest_moments(steps_back: Iterable[_StepBack]) -> list[float]:
-    """Places at which the clock was set back, increasing: each step back has one of them inside."""
+    """Places of the first messages after the clock was set back, increasing: each step back has one inside.
+
+    Of steps that overlap, the one that ends first decides, so that one moment explains as many as possible.
+    """
     moments = [-math.inf]
     for step in sorted(steps_back, key=lambda step: step.until):
         if moments[-1] <= step.after:
@@ -94,6 +100,6 @@ def _fewest_moments(steps_back: Iterable[_StepBack]) -> list[float]:
     return moments[1:]
 
 
-def _stretch_of(first: FloatArray, positions: FloatArray) -> np.ndarray:
-    """Which stretch each of these is in, by what is first in each."""
-    return np.searchsorted(first, positions, side="right") - 1
+def _stretch_of(starts: FloatArray, values: FloatArray) -> np.ndarray:
+    """Numbers of the stretches in which these places or times lie, by those at which stretches start."""
+    return np.searchsorted(starts, values, side="right") - 1

@@ -32,15 +32,15 @@ from twinmatch.units import measure
 
 _BLOCK: Final = 4096
 """Lines that are read at once."""
-_HEAD: Final = 53
-"""Lines that tell how a table is written."""
+_HEAD_LINES: Final = 53
+"""First lines, from which separators, units and decimal separator are found."""
 _WORDS: Final = {
     **dict.fromkeys(("true", "on", "yes"), 1.0),
     **dict.fromkeys(("false", "off", "no"), 0.0),
     **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-"), math.nan),
 }
 _TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
-_MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+_BYTE_ORDER_MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 """Byte-order marks of encodings other than UTF-8."""
 
 
@@ -93,7 +93,7 @@ class Table:
             return wanted
         names = {title: split_title(title)[0] for title in self.columns}
         lower = wanted.lower()
-        for titles in (  # t and T (°C) are two columns
+        for titles in (  # from strict to lenient, since t and T (°C) may be two columns
             [title for title, short in names.items() if short == wanted],
             [title for title in names if title.lower() == lower],
             [title for title, short in names.items() if short.lower() == lower],
@@ -167,12 +167,12 @@ def read_table(
     suffix = path.suffix.lower()
     try:
         with open_regular(path) as file:
-            first = file.read(4)
+            first_bytes = file.read(4)
             if os.fstat(file.fileno()).st_size > LIMITS.size:
                 msg = f"{path}: has more than {LIMITS.size / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
-            return _read_csv(path, first, progress)
+            return _read_csv(path, first_bytes, progress)
         if suffix == ".mat":
             return _read_mat(path, matrix)
     except FileNotFoundError:
@@ -194,11 +194,11 @@ def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
     return Table(path, columns, range(1, length + 1), row="row", units=False)
 
 
-def _read_csv(path: Path, first: bytes, progress: ProgressCallback | None) -> Table:
+def _read_csv(path: Path, first_bytes: bytes, progress: ProgressCallback | None) -> Table:
     """The table in UTF-8, in UTF-16 with a byte-order mark, or in the encoding of Western Windows."""
-    if first == _ARCHIVE:
+    if first_bytes == _ARCHIVE:
         raise RecordingError(f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV")
-    for encoding in (_MARKS.get(first[:2], "utf-8-sig"), _WESTERN):
+    for encoding in (_BYTE_ORDER_MARKS.get(first_bytes[:2], "utf-8-sig"), _WESTERN):
         try:
             return _parse(path, _lines(path, encoding, progress))
         except UnicodeError:
@@ -222,55 +222,57 @@ def _lines(path: Path, encoding: str, progress: ProgressCallback | None) -> Iter
 
 
 def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
-    head = list(islice(lines, _HEAD))
-    stated = _SEPARATOR.match(head[0][1]) if head else None
-    if stated:
+    """The table in these lines, each with its number in the file."""
+    head = list(islice(lines, _HEAD_LINES))
+    separator_line = _SEPARATOR.match(head[0][1]) if head else None
+    if separator_line:
         head = head[1:]
     if len(head) < 3:
         msg = f"{path}: give column names and at least two rows; the file has {len(head)} lines of a table"
         raise RecordingError(msg)
-    divider = stated[1] if stated else max(",;\t", key=head[0][1].count)
-    (first_place, titles), *beginning = _rows(path, iter(head), divider)
-    _require_names(path, first_place, titles, divider)
+    separator = separator_line[1] if separator_line else max(",;\t", key=head[0][1].count)
+    (titles_line, titles), *beginning = _rows(path, iter(head), separator)
+    _require_names(path, titles_line, titles, separator)
     _check_titles(path, titles)
-    titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
-    decimal = _decimal([cells for _, cells in beginning], quoted=divider == ",")
-    read = _Cells(len(titles), divider, decimal)
-    read.rows(beginning[skipped:])
+    titles, unit_lines = _with_units(titles, [cells for _, cells in beginning[:2]])
+    decimal = _decimal([cells for _, cells in beginning], quoted=separator == ",")
+    table_cells = _Cells(len(titles), separator, decimal)
+    table_cells.take_rows(beginning[unit_lines:])
     while block := list(islice(lines, _BLOCK)):
-        if not read.plain(block):
-            read.rows(_rows(path, iter(block), divider, first=(first_place, len(titles))))
+        if not table_cells.take_plain(block):
+            table_cells.take_rows(_rows(path, iter(block), separator, header=(titles_line, len(titles))))
     distinct = _distinct(titles)
-    columns = dict(zip(distinct, read.columns(), strict=True))
-    texts = {title: cells for title, cells in zip(distinct, read.texts, strict=True) if cells}
-    return Table(path, columns, read.places, texts=texts)
+    columns = dict(zip(distinct, table_cells.columns(), strict=True))
+    texts = {title: cells for title, cells in zip(distinct, table_cells.texts, strict=True) if cells}
+    return Table(path, columns, table_cells.places, texts=texts)
 
 
-def _require_names(path: Path, place: int, titles: Sequence[str], divider: str) -> None:
+def _require_names(path: Path, place: int, titles: Sequence[str], separator: str) -> None:
+    """Refuse a first line of numbers only: the table has no column names."""
     if any(number(title) is None for title in titles):
         return
     names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
     raise RecordingError(
         f"{path}, line {place}: has numbers; the first line must name the columns: write "
-        f"one above it, such as {divider.join(names)}"
+        f"one above it, such as {separator.join(names)}"
     )
 
 
 class _Cells:
     """The cells of a table, taken in row by row, or many plain rows at once."""
 
-    def __init__(self, width: int, divider: str, decimal: str) -> None:
+    def __init__(self, width: int, separator: str, decimal: str) -> None:
         """Begin without rows."""
         self.places = array("q")
         """The line of each row in the file."""
         self.texts: list[dict[int, str]] = [{} for _ in range(width)]
         """Of each column, the cells that are not numbers, by row."""
         self._numbers = [array("d") for _ in range(width)]
-        self._divider = divider
+        self._separator = separator
         self._decimal = decimal
-        self._empty = re.compile(rf"(^|{re.escape(divider)})(?={re.escape(divider)}|$)")
+        self._empty = re.compile(rf"(^|{re.escape(separator)})(?={re.escape(separator)}|$)")
 
-    def rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
+    def take_rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
         """Take rows of any cells, each with its place."""
         for place, cells in rows:
             for column, texts, text in zip(self._numbers, self.texts, cells, strict=True):
@@ -283,14 +285,13 @@ class _Cells:
                     column.append(math.nan if value is None else value)
             self.places.append(place)
 
-    def plain(self, lines: Sequence[tuple[int, str]]) -> bool:
-        """Take lines all of whose cells are numbers or empty, as NumPy reads them.
+    def take_plain(self, lines: Sequence[tuple[int, str]]) -> bool:
+        """Take lines if all their cells are numbers or empty; return whether they are. If not, take none.
 
-        NumPy reads the digits of a number as Python does. Returns whether the lines are such ones; if not,
-        none is taken.
+        NumPy reads them: much faster than `take_rows`, and digits become the same numbers as in Python.
         """
         texts = [line for _, line in lines]
-        if self._decimal == "," and self._divider != ",":
+        if self._decimal == "," and self._separator != ",":
             texts = [text.replace(",", ".") for text in texts]
         values = self._loaded(texts)
         if values is None:
@@ -307,7 +308,7 @@ class _Cells:
     def _loaded(self, texts: list[str]) -> FloatArray | None:
         """The numbers of plain lines, shape (lines, columns); None if a cell is not a number."""
         try:
-            return np.loadtxt(texts, delimiter=self._divider, comments=None, ndmin=2)
+            return np.loadtxt(texts, delimiter=self._separator, comments=None, ndmin=2)
         except ValueError:
             return None
 
@@ -329,30 +330,31 @@ def _check_titles(path: Path, titles: Sequence[str]) -> None:
 
 
 def _rows(
-    path: Path, lines: Iterator[tuple[int, str]], divider: str, first: tuple[int, int] | None = None
+    path: Path, lines: Iterator[tuple[int, str]], separator: str, header: tuple[int, int] | None = None
 ) -> Iterator[tuple[int, list[str]]]:
     """The cells of each line, as many as the column names, with its place.
 
-    `first` is the line of the names with their number; without it, that is the first of these lines.
+    `header` is the number of the line with the column names, and how many they are; without it, they are in
+    the first of these lines.
     """
     place = 0
-    first_place, width = first or (0, 0)
+    header_line, width = header or (0, 0)
 
     def texts() -> Iterator[str]:
         nonlocal place
         for place, line in lines:  # noqa: B007 - read below
             yield line
 
-    reader = csv.reader(texts(), delimiter=divider, skipinitialspace=True)
+    reader = csv.reader(texts(), delimiter=separator, skipinitialspace=True)
     for count, cells in enumerate(reader, 1):
         if reader.line_num > count:
             raise RecordingError(f"{path}: a quoted cell spans several lines; write it without line breaks")
-        if count == 1 and first is None:
-            first_place = place
+        if count == 1 and header is None:
+            header_line = place
             width = len(cells)
         if any(map(str.strip, cells[width:])):
             raise RecordingError(
-                f"{path}, line {place}: has {len(cells)} cells, but line {first_place} has {width} "
+                f"{path}, line {place}: has {len(cells)} cells, but line {header_line} has {width} "
                 "column names; remove lines before the names, or begin them with #"
             )
         yield place, cells[:width] + [""] * (width - len(cells))
@@ -361,15 +363,16 @@ def _rows(
 def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
     """Titles with the units of a line below the names, and the number of such lines, 0 or 1.
 
-    Its cells begin with letters or symbols, some are known units, and the next line has numbers there.
+    `cells` are those of the two lines below the titles. The first has units if its cells begin with letters
+    or symbols, some are known units, and the second has numbers there.
     """
     below, next_line = cells
     units = [cell.strip() for cell in below]
-    stated = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
+    filled = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
     is_unit = [bool(unit) and measure(unit).known for unit in units]
-    if not any(is_unit) or any(_begins_as_number(units[k]) for k in stated):
+    if not any(is_unit) or any(_begins_as_number(units[k]) for k in filled):
         return titles, 0
-    if all(number(next_line[k], ",") is None for k in stated):
+    if all(number(next_line[k], ",") is None for k in filled):
         return titles, 0
     with_units = []
     for title, unit, is_known in zip(titles, units, is_unit, strict=True):
@@ -379,11 +382,13 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
 
 
 def _begins_as_number(text: str) -> bool:
+    """Whether a cell is a number, or begins like one, as a date does."""
     return number(text, ",") is not None or text[0].isdigit()
 
 
 def _decimal(rows: Sequence[Sequence[str]], *, quoted: bool) -> str:
-    """The decimal separator; in `quoted` cells three digits behind a comma may be thousands."""
+    """The decimal separator. A comma in a cell of a table that commas separate is `quoted`; if three digits
+    follow it, it may separate thousands."""
     form = r"\s*-?\d+,(\d{1,2}|\d{4,})\s*" if quoted else r"\s*-?\d+,\d+\s*"
     return "," if any(re.fullmatch(form, cell) for row in rows for cell in row) else "."
 

@@ -19,14 +19,14 @@ __all__ = ["Hole", "Loss", "TimedSignal", "rising_signal"]
 
 @dataclass(frozen=True)
 class Periodic:
-    """Which signals are periodic: nine of ten steps are regular."""
+    """Which signals are periodic: those with enough messages, nine of ten of which come in regular steps."""
 
-    fewest: int = 10
+    fewest_messages: int = 10
     """Fewest messages that can be called periodic."""
-    share: float = 0.9
-    """Of the steps that are regular."""
-    regular: float = 1.5
-    """Longest regular step, in usual ones."""
+    regular_share: float = 0.9
+    """Least share of regular steps."""
+    longest_regular: float = 1.5
+    """Longest step that counts as regular, in usual steps."""
 
 
 _PERIODIC: Final = Periodic()
@@ -59,7 +59,7 @@ class TimedSignal(NamedTuple):
         return np.interp(times, self.times, self.values)
 
     def newest(self, times: FloatArray) -> FloatArray:
-        """The last value at or before each of these times, none of which is before the first value."""
+        """The last value at or before each of these times; none of them may be before the first value."""
         return self.values[np.searchsorted(self.times, times, side="right") - 1]
 
     def means(self, times: FloatArray, longest: float | None) -> FloatArray:
@@ -74,31 +74,31 @@ class TimedSignal(NamedTuple):
         ends[before_gaps] = times[before_gaps] + median_step
         return held_means(self.times, self.values, times, ends, ends - times)
 
-    def holes(self, rows: FloatArray, longest: float | None) -> Iterator[Hole]:
-        """Where its messages stay away: from one usual step after the last one to the next one.
+    def holes(self, reading_times: FloatArray, longest: float | None) -> Iterator[Hole]:
+        """Where messages stay away longer than is bridged: from one usual step after a message to the next.
 
-        A signal without a usual step is published when it changes, and applies until then. `rows` are the
-        times of the readings, s.
+        A signal that is not periodic has none: it is published when it changes, and applies until then.
+        `reading_times` are those of the readings, s; `longest` is as in `means`.
         """
         steps = np.diff(self.times)
-        if self.times.size < _PERIODIC.fewest or not self._is_periodic(steps, rows):
+        if self.times.size < _PERIODIC.fewest_messages or not self._is_periodic(steps, reading_times):
             return
-        usual = max(usual_step(steps), usual_step(np.diff(rows)))
+        usual = max(usual_step(steps), usual_step(np.diff(reading_times)))
         limit = bridged_up_to(np.array([0.0, usual]), longest)
-        until_next = np.append(steps, rows[-1] - self.times[-1])
+        until_next = np.append(steps, reading_times[-1] - self.times[-1])
         next_times = np.append(self.times[1:], math.inf)
         for k in np.flatnonzero(until_next > limit).tolist():
             yield Hole(float(self.times[k]) + usual, float(next_times[k]))
 
-    def _is_periodic(self, steps: FloatArray, rows: FloatArray) -> bool:
-        longest_regular = max(_PERIODIC.regular * usual_step(steps), bridged_up_to(rows))
-        return bool(np.quantile(steps, _PERIODIC.share) <= longest_regular)
+    def _is_periodic(self, steps: FloatArray, reading_times: FloatArray) -> bool:
+        longest_regular = max(_PERIODIC.longest_regular * usual_step(steps), bridged_up_to(reading_times))
+        return bool(np.quantile(steps, _PERIODIC.regular_share) <= longest_regular)
 
 
 def rising_signal(
     path: Path, name: str, times: FloatArray, values: FloatArray
 ) -> tuple[TimedSignal, list[Loss]]:
-    """The numbers of messages with rising times, and which messages gave none.
+    """The numbers of messages with rising times, and how many messages gave none, by reason.
 
     Messages are sorted by time, since some arrive out of order; of several at one time the last is kept.
 

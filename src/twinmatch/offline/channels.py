@@ -31,9 +31,9 @@ class ChannelHealth:
     """Samples at which the equations described the plant too badly to accuse anything."""
     alarms: tuple[ChannelAlarm, ...]
     course: dict[str, list[tuple[int, float]]]
-    """Of every cause, in words: at which samples it competed, and its evidence, nats."""
+    """By cause, in words: the samples at which it competed, each with its evidence, nats."""
     through: tuple[EstimatedCourse, ...]
-    """What sensors should have read that were off or stood, in the order in which they were named."""
+    """Of sensors that were off or stood, what they should have read, in the order of their beginnings."""
 
     def document(self) -> dict[str, Any]:
         """The alarms as dictionaries, for JSON."""

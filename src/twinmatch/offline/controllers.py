@@ -121,12 +121,12 @@ class Ground(NamedTuple):
         noise = self.noise
         period = self.session.period
         averages = [np.zeros((0, noise.size))]
-        size = round(SMOOTHED * plant_scale(self.plant, period) / period)
+        samples = round(SMOOTHED * plant_scale(self.plant, period) / period)
         for window in stretches(self.session.samples, period):
-            if len(window) > SKIPPED + size:
-                run = simulate_window(twin.parameters, window, law=None)
-                sums = np.cumsum(window.outputs[SKIPPED:] - run.outputs, axis=0)
-                averages.append((sums[size:] - sums[:-size]) / size)
+            if len(window) > SKIPPED + samples:
+                response = simulate_window(twin.parameters, window, law=None)
+                sums = np.cumsum(window.outputs[SKIPPED:] - response.outputs, axis=0)
+                averages.append((sums[samples:] - sums[:-samples]) / samples)
         unexplained = np.concatenate(averages)
         moved = np.ptp([sample.outputs for sample in self.session.samples], axis=0)
         follows_recording = unexplained.size and (np.abs(unexplained) <= moved).all()
@@ -141,9 +141,9 @@ class Ground(NamedTuple):
         for j, (name, output) in enumerate(self.plant.outputs.items()):
             low = visited[:, j].min()
             high = visited[:, j].max()
-            room = VISITED * output.noise
+            margin = VISITED * output.noise
             asked = references[:, j].min(), references[:, j].max()
-            if asked[0] < low - room or asked[1] > high + room:
+            if asked[0] < low - margin or asked[1] > high + margin:
                 notes.append(
                     f"{name} from {asked[0]:.4g} to {asked[1]:.4g} {output.unit}, of which only {low:.4g} to "
                     f"{high:.4g} was visited: the rest is the plant's equations"
@@ -205,7 +205,8 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
     supported = [fit.model for fit in fits if fit.charge <= best.charge + _FITS.most_charge]
-    parts = [part for w in whole for part in in_parts(plant, w, _FITS.window, otherwise=_FITS.window * HOLD)]
+    samples = _FITS.window * HOLD  # in a part, if the plant has no time constant
+    parts = [part for stretch in whole for part in in_parts(plant, stretch, _FITS.window, otherwise=samples)]
     windows = [part for part in parts if len(part) >= _FITS.shortest]
     members = []
     total = len(windows) * len(supported)

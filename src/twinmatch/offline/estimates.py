@@ -22,9 +22,9 @@ class EstimatedCourse:
     first: int
     """First sample."""
     wide: float
-    """Half width of a band up to which the estimate is good."""
+    """Largest half width of its band with which the estimate counts as good."""
     good: float
-    """For how long the estimate was to be good, s; at most an hour is looked ahead."""
+    """For how long it was expected to be good, s; at most an hour is looked ahead."""
     values: list[float] = field(default_factory=list)
     bands: list[float] = field(default_factory=list)
     """Half of the width that holds 90 % of what it would have read."""
@@ -51,15 +51,15 @@ class EstimatedCourse:
 
 
 def courses_of(estimates: Iterable[EstimatedReading], plant: type[Plant]) -> tuple[EstimatedCourse, ...]:
-    """The estimates, each time a sensor was read through as one course, in the order of their beginnings."""
+    """The estimates in courses, one for each time that a sensor was not believed, in order of beginning."""
     courses: dict[tuple[str, int], EstimatedCourse] = {}
     for estimate in estimates:
         declared = plant.outputs[estimate.signal]
         text = declared.text or estimate.signal
-        course = EstimatedCourse(
+        new_course = EstimatedCourse(
             estimate.signal, text, declared.unit, estimate.since, estimate.wide, estimate.good
         )
-        course = courses.setdefault((estimate.signal, estimate.since), course)
+        course = courses.setdefault((estimate.signal, estimate.since), new_course)
         course.values.append(estimate.value)
         course.bands.append(estimate.band)
         course.readings.append(estimate.reading)

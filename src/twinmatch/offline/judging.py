@@ -55,16 +55,19 @@ def prefix_of(session: Session) -> str:
 def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
     """Parameters and candidates of files; without files the defaults and no candidates."""
     source = f"the file {config.name}" if config else "the defaults of this version"
-    read = read_settings(config, session.plant, driven=not session.has_reference)
-    settings = at_period(read, session.period, config)
-    if config is None and not settings.plant.single and not _gives(settings, session):
+    settings_of_file = read_settings(config, session.plant, driven=not session.has_reference)
+    settings = at_period(settings_of_file, session.period, config)
+    if config is None and not settings.plant.single and not _law_gives_inputs(settings, session):
         settings = at_period(read_settings(None, session.plant, driven=True), session.period, None)
         source += ", driven by the recorded inputs, which are not those of the loop in the plant file"
     return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
 
 
-def _gives(settings: TwinSettings, session: Session) -> bool:
-    """Whether their law gives the recorded inputs of the first minutes, within the noise of the drives."""
+def _law_gives_inputs(settings: TwinSettings, session: Session) -> bool:
+    """Whether the law of these settings gives the inputs recorded in the first minutes.
+
+    It does if they agree within the noise of the drives, or if there is too little to compare.
+    """
     law = settings.law
     samples, *_ = stretches(session.samples, session.period)
     if law is None or len(samples) <= _LAW_CHECK.begin:
@@ -88,13 +91,15 @@ def recorded_terms(session: Session, config: Path | None = None, candidates: Pat
     if config is not None:
         return terms_from_files(session, config, candidates)
     prefix = prefix_of(session)
-    matching, _ = _settings(session, f"{prefix}matcher")
-    settings, file = _settings(session, f"{prefix}discriminator")
-    initial_candidates = tuple(read_candidates(candidates)) if candidates else _given(session, file)
+    matching, _ = _recorded_settings(session, f"{prefix}matcher")
+    settings, candidates_file = _recorded_settings(session, f"{prefix}discriminator")
+    initial_candidates = (
+        tuple(read_candidates(candidates)) if candidates else _recorded_candidates(session, candidates_file)
+    )
     return Terms(settings, initial_candidates, matching, "those recorded with the session")
 
 
-def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
+def _recorded_settings(session: Session, node: str) -> tuple[TwinSettings, str]:
     """Recorded settings of a node, and its file of candidates."""
     place = f"session {session.name}"
     recorded = parameters_of(session.records, node)
@@ -110,7 +115,12 @@ def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
         raise TermsError(f"{place}: the recorded parameters of {node} cannot be used: {error}") from error
 
 
-def _given(session: Session, path: str) -> tuple[Candidate, ...]:
+def _recorded_candidates(session: Session, path: str) -> tuple[Candidate, ...]:
+    """The initial candidates recorded with a session; `path` is the file that the twin had them from.
+
+    Raises:
+        TermsError: there was such a file, but they were not recorded.
+    """
     if not path:
         return ()
     text = session.records.get(CANDIDATES, {}).get("text", "")
@@ -237,9 +247,9 @@ def judge_samples(
 
 
 LEVELS = (0.2, 0.6, 0.3)
-"""Set-points, as shares of the usual range: enough for a match, a second candidate and gaps."""
+"""Set-points, as shares of the usual range: enough for a match, a second candidate and ν-gaps."""
 HOLD = 240
-"""Samples of each."""
+"""Samples for which each of them is held."""
 
 
 def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, int], None]) -> None:

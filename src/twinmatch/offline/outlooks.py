@@ -28,7 +28,7 @@ _WINDOWS: Final = 5
 """The twin begins so many longest windows before the instant asked: two memories of the forecasts' scores, so
 that what is older has lost six sevenths of its weight."""
 _FARTHER: Final = 4
-"""Factor by which it begins earlier if that is too late; so beginning again costs at most a third more."""
+"""Factor on that stretch if it is too short; all shorter ones cost at most a third of the last one."""
 RECORDED: Final = "recorded"
 MAX_BYTES = 1 << 20
 """Largest file of set-points, bytes: a day of them, one per second."""
@@ -104,26 +104,27 @@ def _run(
     candidate at the one in the `middle`, or not the one asked for at a wanted sample."""
     samples = session.samples
     prospect_of = {}
-    taught = list[Verdict]()
+    taught: tuple[Verdict, ...] = ()
     begin = places.start
     ends = places.stop
-    since = samples[begin].index if begin else None
+    may_begin_earlier = begin > 0
+    since = samples[begin].index if may_begin_earlier else None
     twin = Twin(terms.settings, terms.given, matching=terms.matching)
     with held_interrupts() as check_interrupt:
         for place in places:
             sample = samples[place]
-            taught += [v for v in twin.push(sample).verdicts if v.chosen is not None][: 1 - len(taught)]
+            with_nominal = [verdict for verdict in twin.push(sample).verdicts if verdict.chosen is not None]
+            taught = taught or tuple(with_nominal[:1])
             forecaster = twin.discriminator.forecaster
-            if begin and place == middle and not forecaster.names:
+            has_wanted_one = bool(forecaster.names) and candidate in {None, *forecaster.names}
+            if may_begin_earlier and place == middle and not forecaster.names:
                 return None
             if sample.index in wanted:
-                if begin and (not forecaster.names or candidate not in {None, *forecaster.names}):
+                if may_begin_earlier and not has_wanted_one:
                     return None
                 if not forecaster.names:
                     raise _no_candidate(session.name, twin, samples[place:])
-                prospect_of[sample.index] = _prospect(
-                    forecaster, sample.index, candidate, tuple(taught), since
-                )
+                prospect_of[sample.index] = _prospect(forecaster, sample.index, candidate, taught, since)
             if watch is not None and (place - begin) % EVERY == 0:
                 watch(place - begin, ends - begin)
             check_interrupt()
@@ -272,9 +273,9 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
         for part in filled_stretches(session.samples, settings)
         if part.first <= sample.index <= part.last
     )
-    came = stretch.part(sample.index, min(sample.index + size, stretch.last))
-    levels = (came.reference if closed else came.input).tolist()
-    count = len(came) - 1
+    recorded_samples = stretch.part(sample.index, min(sample.index + size, stretch.last))
+    levels = (recorded_samples.reference if closed else recorded_samples.input).tolist()
+    count = len(recorded_samples) - 1
     if not count:
         raise TwinmatchError(
             f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
@@ -284,7 +285,7 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     if count < size:
         why = "a sample is missing" if stretch.last < session.samples[-1].index else "the session ends"
         notes = (f"shortened to {count * period:g} s: {why} there",)
-    rows = came.disturbances if sample.disturbances else None
+    rows = recorded_samples.disturbances if sample.disturbances else None
     ahead = SetPoints.recorded(levels, period).ahead(period, count)
     return Ahead(ahead, f"the recorded {kind}s", notes, rows)
 

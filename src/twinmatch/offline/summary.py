@@ -63,14 +63,17 @@ class TrustRange(NamedTuple):
     """Decimal places to which the ends are rounded."""
 
     def __str__(self) -> str:
-        """The widest ranges, their ends rounded inwards, with what comes before each."""
+        """The widest ranges in words, such as "between 20 and 30 °C", their ends rounded inwards."""
         widest = sorted(self.spans, key=lambda span: span[0] - span[1])[:MAX_RANGES]
         return number_list([f"between {self._rounded(*span)}" for span in sorted(widest)])
 
     def _rounded(self, low: float, high: float) -> str:
         steps = 10.0**self.decimals
-        inside = math.ceil(low * steps) / steps, math.floor(high * steps) / steps
-        low, high = (low, high) if inside[0] > inside[1] else inside  # narrower than the rounding
+        low_inside = math.ceil(low * steps) / steps
+        high_inside = math.floor(high * steps) / steps
+        if low_inside <= high_inside:  # else the range is narrower than the rounding
+            low = low_inside
+            high = high_inside
         return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
 
 
@@ -106,6 +109,7 @@ class SessionSummary:
     """NRMSE fit of that twin's output (of several the worst) over the whole session, 1 at best; NaN without
     candidates."""
     fit_u: float
+    """The same of its input."""
     verdicts: int
     identified: int
     """Verdicts whose window excited the loop."""
@@ -190,13 +194,15 @@ class Tally:
             self.stretches.append(stretch)
             return
         last = self.stretches[-1]
-        if last[2:] == stretch[2:]:
+        if (last.level, last.fault) == (stretch.level, stretch.fault):
             self.stretches[-1] = last._replace(last=sample)
             return
-        if last.fault and last.fault != fault:
+        fault_ends = last.fault and last.fault != fault
+        if fault_ends:
             last = last._replace(last=max(sample - 1, last.last))
         begin = last.last + 1
-        if fault not in {"", last.fault} and since is not None and since <= verdict.sample:
+        fault_begins = fault not in {"", last.fault}
+        if fault_begins and since is not None and since <= verdict.sample:
             begin = max(since, last.first + 1)
             last = last._replace(last=begin - 1)
         self.stretches[-1:] = [last, stretch._replace(first=begin, last=max(sample, begin))]
@@ -210,10 +216,13 @@ def summarise(
     notes: Sequence[str] = (),
 ) -> SessionSummary:
     """Summarise a judged session from its stretches, as `filled_stretches` gives them, and its verdicts."""
-    first, period = (stretches[0].first, stretches[0].period) if stretches else (None, 1.0)
-    return conclude(
-        Tally(verdicts, first), lambda: (max(stretches, key=len), len(stretches)), law, notes, period
-    )
+    first = stretches[0].first if stretches else None
+    period = stretches[0].period if stretches else 1.0
+
+    def longest() -> tuple[Window, int]:
+        return max(stretches, key=len), len(stretches)
+
+    return conclude(Tally(verdicts, first), longest, law, notes, period)
 
 
 def conclude(

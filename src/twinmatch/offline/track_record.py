@@ -57,7 +57,7 @@ class LawThatRan:
 
     def __post_init__(self) -> None:
         recorded_profile(self.ground.session)
-        share = self._ran.share
+        share = self._reproduction.share
         if share < MIN_REPRODUCED:
             raise ControllerError(
                 f"session {self.ground.session.name}: {self.law_name} gives only {100 * share:.0f} % of its "
@@ -68,22 +68,24 @@ class LawThatRan:
     def _rows(self) -> _RecordedRows:
         samples = [sample for sample in self.ground.session.samples if sample.usable]
         index = np.array([sample.index for sample in samples])
-        grid = np.arange(index[0], index[-1] + 1)
-        newest = np.searchsorted(index, grid, side="right") - 1
+        periods = np.arange(index[0], index[-1] + 1)
+        newest = np.searchsorted(index, periods, side="right") - 1
         return _RecordedRows(
             references=np.array([sample.references for sample in samples], dtype=np.float64)[newest],
             outputs=np.array([sample.outputs for sample in samples], dtype=np.float64)[newest],
             inputs=np.array([sample.inputs for sample in samples], dtype=np.float64)[newest],
-            is_recorded=(index[newest] == grid).astype(np.float64),
+            is_recorded=(index[newest] == periods).astype(np.float64),
         )
 
     @property
-    def _acting(self) -> LinearLaw | TwoLevel:
+    def _law_as_run(self) -> LinearLaw | TwoLevel:
+        """The law in the form in which controllers are tried."""
         return self.law if isinstance(self.law, TwoLevel) else as_linear(self.law)
 
     @cached_property
-    def _ran(self) -> Reproduction:
-        return reproduced(self._acting, *self._rows[:3])
+    def _reproduction(self) -> Reproduction:
+        """What the law gives on the recorded signals, beside the recorded commands."""
+        return reproduced(self._law_as_run, self._rows.references, self._rows.outputs, self._rows.inputs)
 
     @property
     def faulty(self) -> bool:
@@ -95,11 +97,11 @@ class LawThatRan:
     def question(self, holding: Holding, draws: int) -> ControllerQuestion:
         """The law over the set-points of the session, from its beginning."""
         references = self._rows.references
-        state = None if self._rests else self._ran.state
-        return ControllerQuestion(self._acting, references, references[0], holding, draws, state=state)
+        state = None if self._begins_at_rest else self._reproduction.state
+        return ControllerQuestion(self._law_as_run, references, references[0], holding, draws, state=state)
 
     @property
-    def _rests(self) -> bool:
+    def _begins_at_rest(self) -> bool:
         """Whether it begins with its outputs at their set-points."""
         rows = self._rows
         deviations = np.abs(rows.outputs[0] - rows.references[0])
@@ -107,7 +109,7 @@ class LawThatRan:
 
     def begun(self, twins: Sequence[TriedTwin]) -> list[TriedTwin]:
         """The twins where the session begins: at rest at its set-points, or at its first readings."""
-        if self._rests:
+        if self._begins_at_rest:
             return [replace(twin, states=None) for twin in twins]
         y = self._rows.outputs[0]
         u = self._rows.inputs[0]

@@ -127,10 +127,10 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
     prefix = prefix_of(session)
     stamps = judgement.stamps  # a verdict may be due at a lost sample
-    matches = _once(_records_of(session, prefix + MATCHES))
+    matches = _without_repeats(_records_of(session, prefix + MATCHES))
     scores = _records_of(session, prefix + SCORES)
-    computed_matches = [_compute(m, stamps[m.sample]) for m in judgement.matches]
-    computed_scores = [_compute(v, stamps[v.sample]) for v in judgement.verdicts]
+    computed_matches = [_computed_tree(m, stamps[m.sample]) for m in judgement.matches]
+    computed_scores = [_computed_tree(v, stamps[v.sample]) for v in judgement.verdicts]
     comparison = _Comparison(session.samples[-1])
     difference = comparison.first("match", matches, computed_matches)
     difference = difference or comparison.first("verdict", scores, computed_scores)
@@ -150,11 +150,12 @@ def _records_of(session: Session, name: str) -> list[Tree]:
     return [comparable(tree_of_message(message)) for message in _messages(session, name)]
 
 
-def _compute(record: Verdict | MatchReport, stamp: int) -> Tree:
+def _computed_tree(record: Verdict | MatchReport, stamp: int) -> Tree:
+    """A computed verdict or match in the form in which recorded ones are compared."""
     return comparable({"stamp": stamp, **tree_of(record)})
 
 
-def _once(matches: list[Tree]) -> list[Tree]:
+def _without_repeats(matches: list[Tree]) -> list[Tree]:
     """The matches without repeated ones: a match requested twice is answered twice."""
     distinct = []
     before: Tree = {}
@@ -174,16 +175,19 @@ class _Comparison:
     """Compares recorded trees with computed ones, and collects what does not count as a difference."""
 
     def __init__(self, last: Sample) -> None:
+        """Begin without records; `last` is the last sample of the session."""
         self._last = last
-        self._apart: set[str] = set()
-        self._worded: set[str] = set()
+        self._in_one_form_only: set[str] = set()
+        """Fields that only the recorded or only the computed form has."""
+        self._reworded: set[str] = set()
+        """Fields of text that differ."""
 
     def first(self, kind: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
         """The first difference between records of a kind, match or verdict, if there is one."""
         for number, (before, after) in enumerate(zip(recorded, computed, strict=False), 1):
-            departure = next(self._differences(before, after), None)
-            if departure is not None:
-                field, was, is_now = departure
+            difference = next(self._differences(before, after), None)
+            if difference is not None:
+                field, was, is_now = difference
                 return Difference(kind, number, before["sample"], _owner(before, field), field, was, is_now)
         number = min(len(recorded), len(computed))
         if len(recorded) > number:
@@ -198,8 +202,8 @@ class _Comparison:
         """Notes on what was not compared."""
         notes = []
         for fields, why in (
-            (self._apart, "recorded in another form; fields that only one form has"),
-            (self._worded, "this version words some texts differently; they"),
+            (self._in_one_form_only, "recorded in another form; fields that only one form has"),
+            (self._reworded, "this version words some texts differently; they"),
         ):
             if fields:
                 notes.append(f"{why} were not compared: {', '.join(sorted(fields))}")
@@ -207,12 +211,12 @@ class _Comparison:
 
     def _differences(self, recorded: Tree, computed: Tree) -> Iterator[tuple[str, Any, Any]]:
         """Field, recorded and computed value of each difference that counts."""
-        apart: set[str] = set()
-        departures = list(differences(recorded, computed, apart=apart))
-        self._apart |= {field.removeprefix("candidates.") for field in apart}
-        for field, was, is_now in departures:
+        in_one_only: set[str] = set()
+        all_differences = list(differences(recorded, computed, apart=in_one_only))
+        self._in_one_form_only |= {field.removeprefix("candidates.") for field in in_one_only}
+        for field, was, is_now in all_differences:
             if field.rsplit(".", 1)[-1] in SENTENCES:
-                self._worded.add(field)
+                self._reworded.add(field)
             else:
                 yield field, was, is_now
 

@@ -63,7 +63,7 @@ class _Member:
     window: Window
     models: dict[str, SimoModel]
     orders: tuple[OrderScore, ...]
-    chosen: str
+    chosen_order: str
 
 
 class _NewestWindow(NamedTuple):
@@ -107,8 +107,10 @@ class CandidatePool:
         self._family = Family(settings.most_candidates, widths)
         self._members: dict[str, _Member] = {}
         self._successors: dict[str, str] = {}
+        """By name of a match that was admitted since `enter` the one whose regime it took over."""
         self._newest: _NewestWindow | None = None
         self._reached: tuple[FloatArray, FloatArray] | None = None
+        """Lowest and highest levels of all scored windows; see `_points`."""
         self._loop = LoopConditions(law, spans_of(plant), settings.schedule.span, period)
         self._remembered = tuple(remembered)
         self.estranged = ""
@@ -182,7 +184,7 @@ class CandidatePool:
         self.estranged = estranged
         self._remembered = ()
         prior = self._settings.prior
-        # those that are left out now get new accounts
+        # This closes their accounts: fits of these structures without the prior enter later with new ones.
         self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])
         self.structures.forget()
         informed = []
@@ -201,7 +203,7 @@ class CandidatePool:
         return self._remove(matches, self.structures.expel(first, last))
 
     def _remove(self, matches: Sequence[str], structures: tuple[str, ...] = ()) -> tuple[str, ...]:
-        """Remove matches, and compare what is left; the structures are removed already. All their names."""
+        """Remove matches, and compare what is left; `structures` are removed already. Returns all names."""
         for name in matches:
             self._family.dismiss(name)
             del self._members[name]
@@ -243,7 +245,7 @@ class CandidatePool:
         """
         if not self._single:
             return None
-        order = common_order([self._members[c.name].chosen for c in self._family.candidates])
+        order = common_order([self._members[c.name].chosen_order for c in self._family.candidates])
         orders = ORDERS[: ORDERS.index(order) + 1]
         settings = self._settings
         return identify(window, orders, scale=settings.model_scale, lead=settings.schedule.lead)[-1]
@@ -272,19 +274,21 @@ class CandidatePool:
         loop = self._loop
         count = len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
-        to_now = [
+        gaps_to_plant = [
             None if plant_now is None else plant_gap(c.parameters, plant_now, points, loop)
             for c in candidates
         ]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
-        bare = [_bare_score(*arguments) for arguments in zip(candidates, distances, to_now, strict=True)]
+        bare_scores = [
+            _bare_score(*arguments) for arguments in zip(candidates, distances, gaps_to_plant, strict=True)
+        ]
         scores = tuple(
             replace(
-                bare[k],
+                bare_scores[k],
                 first=member.window.first,
                 last=member.window.last if member.candidate.window else member.window.first - 1,
                 orders=member.orders,
-                chosen_order=member.chosen,
+                chosen_order=member.chosen_order,
             )
             for k, member in enumerate(family)
         )
@@ -292,7 +296,7 @@ class CandidatePool:
         if plant is not None:
             scores, identified = self._with_models(scores, family, window, plant)
         nominal = nominal_of(scores)
-        all_scores = (*scores, *bare[count:])
+        all_scores = (*scores, *bare_scores[count:])
         twins = candidates[:count]
         certainty = judge_uncertainty(
             all_scores, twins, gaps.of(count), nominal, loop, plant=plant_now, seed=self._settings.seed
@@ -317,12 +321,12 @@ class CandidatePool:
         gaps = nu_gap_matrix([m.symbol for m in models])
         modelled = tuple(
             replace(
-                bare,
+                bare_score,
                 newest=score(model, window, decimals, absolute=absolute).total,
                 identified_gap_sum=float(row.sum()),
                 identified_gap_to_plant=nu_gap(model.symbol, plant.symbol),
             )
-            for bare, model, row in zip(scores, models, gaps, strict=True)
+            for bare_score, model, row in zip(scores, models, gaps, strict=True)
         )
         return modelled, gaps
 
@@ -343,8 +347,8 @@ class CandidatePool:
         return tuple(sorted(points | {point_of(lowest), point_of(highest)}, key=point_values))
 
 
-def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:
-    """The scores of a candidate of any structure that need no models of its twin."""
+def _bare_score(candidate: Candidate, distance: float, gap_to_plant: float | None) -> CandidateScore:
+    """The scores of a candidate of any structure, without those for which its twin needs a model."""
     first, last = candidate.samples
     return CandidateScore(
         name=candidate.name,
@@ -356,7 +360,7 @@ def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> 
         chosen_order="",
         nu_gap_sum=distance,
         newest=None,
-        nu_gap_to_plant=to_now,
+        nu_gap_to_plant=gap_to_plant,
     )
 
 

@@ -1,9 +1,12 @@
-"""Where samples enter, live and from a session: each is settled here, once, as measured, as a stand-in or as
-not usable; `Sample.seen`, `refused` and `usable`, and a window's `seen`, say so to everybody.
+"""Where samples enter, live and from a session.
 
-Behind this door samples follow one another, or a longer gap has ended the stretch. A plant file that declares
-no typical twin leaves it to the first nominal one to say how far a reading may move. A door learns it from
-the verdicts, which say from which sample on, so that every door settles a stream alike, live and in replay.
+Each sample is settled here, once: as measured, as a stand-in, or as not usable. `Sample.seen`, `refused` and
+`usable`, and a window's `seen`, say as which. Behind this door samples follow one another, or a longer gap
+has ended the stretch.
+
+How far a reading may move is judged by the typical twin of the plant file or, without one, by the first
+nominal twin. A door learns that twin from the verdicts. They say from which sample on it is known, so that
+every door settles a stream alike, live and in replay.
 """
 
 from __future__ import annotations
@@ -23,8 +26,10 @@ from twinmatch.twin.settings import TwinSettings
 def filled(
     samples: Iterable[Sample], settings: TwinSettings, verdicts: Iterable[Verdict] = ()
 ) -> list[Sample]:
-    """The samples of a session and its stand-ins, as the twin with these settings takes them whose verdicts
-    these are."""
+    """The usable samples of a session and their stand-ins, as a twin with these settings takes them.
+
+    `verdicts` are those of the twin on this session.
+    """
     door = Door.of(settings)
     for verdict in verdicts:
         door.learn(verdict)
@@ -35,7 +40,7 @@ def filled(
 def filled_stretches(
     samples: Iterable[Sample], settings: TwinSettings, verdicts: Iterable[Verdict] = ()
 ) -> tuple[Window, ...]:
-    """These as windows: one for each stretch between gaps that are too long to be filled."""
+    """The samples given by `filled` as windows: one for each stretch between gaps too long to be filled."""
     return stretches(filled(samples, settings, verdicts), settings.period)
 
 
@@ -45,41 +50,43 @@ class Door:
     def __init__(self, law: Law | None, longest: int, health: HealthSettings | None) -> None:
         """Begin without samples; stand-ins replace at most `longest` samples in a row.
 
-        `law` is that of the loop, None if it is not known; `health` has the limits of a reading, None for a
-        plant with several outputs: then none is refused.
+        `law` is that of the loop, None if it is not known. `health` has the limits of a reading; None: no
+        reading is refused, as on a plant with several outputs.
         """
         self._filler = GapFiller(law, longest)
         self._refusals = None if health is None else Refusals(health, longest)
-        self._learned: tuple[int, Parameters] | None = None  # sample of a verdict, and its nominal twin
+        self._nominal: tuple[int, Parameters] | None = None
+        """The first nominal twin, and the sample of the verdict that named it."""
         self._last: int | None = None
+        """Index of the newest sample."""
 
     @property
     def learning(self) -> bool:
-        """Whether verdicts to come decide how readings are judged."""
+        """Whether the door still needs a nominal twin to judge readings."""
         return self._refusals is not None and not self._refusals.taught
 
     @classmethod
     def of(cls, settings: TwinSettings) -> Door:
-        """That of the plant, loop, limits and longest gap of these settings."""
+        """A door for the plant, loop, limits and longest gap of these settings."""
         health = replace(settings.health, period=settings.period)
         return cls(settings.law, settings.schedule.gap, health)
 
     def know(self, parameters: Parameters) -> None:
-        """Judge readings by this twin if the plant file declares no typical one."""
+        """Judge readings from now on by this twin, if the plant file declares no typical one."""
         if self._refusals is not None:
             self._refusals.know(parameters)
 
     def learn(self, verdict: Verdict) -> None:
-        """Take a verdict, in order; its nominal twin, the first of all, is known to the samples behind it."""
-        if self._learned is None and verdict.chosen is not None:
-            self._learned = verdict.sample, verdict.chosen.parameters
+        """Take the next verdict. The first nominal twin judges the samples after that of its verdict."""
+        if self._nominal is None and verdict.chosen is not None:
+            self._nominal = verdict.sample, verdict.chosen.parameters
 
     def take(self, sample: Sample) -> list[Sample]:
         """The stand-ins for the samples lost before this one, if they are few enough, and this one, settled;
         oldest first."""
-        if self.learning and self._learned is not None and self._last is not None:
-            since, parameters = self._learned
-            if since <= self._last:
+        if self.learning and self._nominal is not None and self._last is not None:
+            sample_of_verdict, parameters = self._nominal
+            if sample_of_verdict <= self._last:
                 self.know(parameters)
         self._last = sample.index
         settled = sample if self._refusals is None else self._refusals.settle(sample)

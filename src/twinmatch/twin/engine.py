@@ -43,20 +43,20 @@ class Step(NamedTuple):
     request: MatchRequest | None
     """The match to request now; its answer is awaited."""
     snapshots: tuple[Snapshot, ...] = ()
-    """All candidates at every sample that they have taken now, if the discriminator was asked for them; none
-    of lost samples."""
+    """The candidates' outlooks at every sample that they have taken now, lost ones excepted; empty unless the
+    discriminator was made with `snapshots`."""
     settled: tuple[Sample, ...] = ()
     """The samples that it has taken now, and stand-ins, as the door settled them."""
     estimates: tuple[EstimatedReading, ...] = ()
-    """What sensors should have read that were not believed at these samples."""
+    """Of sensors that were not believed at these samples, what they should have read."""
 
 
 class _Recurring(NamedTuple):
     """A defect that may be raised at every sample."""
 
     place: str
-    said: int
-    """Sample of the newest verdict that said so."""
+    reported: int
+    """Sample of the newest verdict that reported it."""
     newest: int
     """Newest sample at which it was raised."""
 
@@ -91,30 +91,34 @@ class Discriminator:
         self._snapshots = snapshots
         self.stamps: dict[int, int] = {}
         """Stamps of the newest samples and stand-ins, ns, by index."""
-        self._plain = settings or TwinSettings()
-        self.settings = self._plain.informed_by(given)
-        self._begin_with = tuple(given)
+        self._uninformed = settings or TwinSettings()
+        """The settings without what remembered candidates say."""
+        self.settings = self._uninformed.informed_by(given)
+        self._candidates_at_start = tuple(given)
         self._external = [model for model in watched(self.settings.plant) if model.is_external]
         self._waiting: deque[Sample] = deque()
+        """Samples before the door."""
         self._entered: deque[Sample] = deque()
+        """Samples that the door has settled, and that nothing else has taken yet."""
         self._watched: int | None = None
         """The newest sample, once the plant's health has been judged at it."""
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
         self._fault_before: Health | None = None
-        """The fault that was on when the monitor had to start over: nobody has seen its end."""
+        """The fault that was on when the monitor had to start over; it counts until another one is seen."""
         self.defects: dict[str, Defect] = {}
         """Defects of this program that prevented verdicts, by their places."""
         self._fits: Future[None] | None = None
+        """The structures' fits to the window whose match is awaited, in a thread beside it."""
         self._recurring: _Recurring | None = None
         self._begin_door()
         self._begin_health()
         self._begin_candidates()
-        self._stood_in: int | None = None
+        self._last_on_estimate: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
         self._trials: dict[int, float] = {}
-        """First samples of which a law on trial drove, and last ones; infinite: it still drives."""
+        """By the first sample at which a law on trial drove the last one; infinite while it drives."""
 
     def _begin_door(self) -> None:
         """Settle samples without knowing any before."""
@@ -131,7 +135,7 @@ class Discriminator:
         """Schedule and candidates as at the start."""
         if self._fits is not None:
             wait([self._fits])  # it changes the candidates that are left
-        candidates = self._begin_with
+        candidates = self._candidates_at_start
         self._schedule = _schedule(self.settings)
         self._pool = CandidatePool(
             self.settings, self._spoilt, [candidate for candidate in candidates if candidate.remembered]
@@ -144,14 +148,16 @@ class Discriminator:
         self._trusted: tuple[float, ...] = ()
 
     def tell_of_trial(self, first: int, last: float = math.inf) -> None:
-        """A law on trial drove from one sample to another. Nothing is matched or learned of these, since
-        forecasts are for the law before."""
+        """Learn that a law on trial drove from sample `first` to `last`.
+
+        Nothing is matched on these samples or learned from them, since forecasts are for the law before.
+        """
         self._trials[first] = last
 
     def _trial_between(self, first: int, last: int) -> str:
         """That a law on trial drove between two samples, in words; empty if none did."""
-        trials = [(a, b) for a, b in self._trials.items() if a <= last and b >= first]
-        return "".join(f"a law on trial has driven since sample {a}" for a, _ in trials[-1:])
+        begins = [begin for begin, end in self._trials.items() if begin <= last and end >= first]
+        return f"a law on trial has driven since sample {begins[-1]}" if begins else ""
 
     @property
     def forecaster(self) -> Forecaster:
@@ -208,7 +214,7 @@ class Discriminator:
             self.stamps[sample.index] = sample.stamp
             if len(self.stamps) > MAX_STAMPS:
                 del self.stamps[next(iter(self.stamps))]
-            stand_in = self._taken(sample)
+            outputs_taken = self._taken_by_law(sample)
             self._watched = None
             with self._replacing_defect(verdicts, sample.index, self._begin_health):
                 self._watch(sample)
@@ -216,7 +222,7 @@ class Discriminator:
                 continue
             estimates += self.monitor.estimates
             with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
-                verdicts += self._take(sample, stand_in)
+                verdicts += self._take(sample, outputs_taken)
                 if self._snapshots and sample.usable and (sample.seen or sample.refused):
                     snapshots.append(self.forecaster.snapshot())
                 verdicts += self._scheduled(sample)
@@ -225,14 +231,17 @@ class Discriminator:
         return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
 
     def _scheduled(self, sample: Sample) -> list[Verdict]:
-        """The verdicts of the window that a sample completes, unless its match has to be requested first."""
+        """The verdicts on the window that a sample completes, unless its match has to be requested first."""
         if not sample.usable:
             return []
         self._due = self._schedule.push(sample)
         return [] if self._due is None else self._on_trigger(self._due)
 
     def _next(self, verdicts: list[Verdict]) -> Sample | None:
-        """The next sample of the queue, as the door settles it once all before it have been taken."""
+        """The next settled sample; None once the queue is empty.
+
+        The door settles a sample only when all before it have been taken: it learns from their verdicts.
+        """
         if not self._entered and self._waiting:
             sample = self._waiting.popleft()
             with self._replacing_defect(verdicts, sample.index, self._begin_door):
@@ -245,15 +254,18 @@ class Discriminator:
     def _replacing_defect(
         self, verdicts: list[Verdict], sample: int, start_over: Callable[[], None]
     ) -> Iterator[None]:
-        """Run one part at a sample. If it raises what nobody outside can fix, the part starts over, and a
-        verdict that says so takes the place of the one that could not be made."""
+        """Run one part at a sample, within this context.
+
+        If it raises an error that no user can fix, the part starts over, and a verdict that says so takes the
+        place of the one that could not be made.
+        """
         try:
             yield
         except Exception as error:
             window = self._window_at(sample)
             start_over()
             defect = self._logged(error)
-            if self._to_be_said(sample, defect):
+            if self._is_due(sample, defect):
                 verdicts.append(self._no_verdict(sample, window, defect))
 
     def _logged(self, error: Exception) -> Defect:
@@ -270,15 +282,18 @@ class Discriminator:
             return self._due.window.first, self._due.window.last
         return (self._recent[0].index if self._recent else sample), sample
 
-    def _to_be_said(self, sample: int, defect: Defect) -> bool:
-        """Whether a verdict says so: of a defect at every sample, one in as many samples as lie between
-        checks."""
+    def _is_due(self, sample: int, defect: Defect) -> bool:
+        """Whether a verdict reports a defect at a sample.
+
+        One that is raised at every sample is reported as rarely as the schedule checks a quiet plant.
+        """
         before = self._recurring
-        lasting = before is not None and (before.place, before.newest) == (defect.place, sample - 1)
-        last_said = before.said if before is not None and lasting else None
-        due = last_said is None or sample - last_said >= self.settings.schedule.stride
-        self._recurring = _Recurring(defect.place, sample if last_said is None or due else last_said, sample)
-        return due
+        if before is None or (before.place, before.newest) != (defect.place, sample - 1):
+            self._recurring = _Recurring(defect.place, reported=sample, newest=sample)
+            return True
+        is_due = sample - before.reported >= self.settings.schedule.stride
+        self._recurring = _Recurring(defect.place, sample if is_due else before.reported, sample)
+        return is_due
 
     def _no_verdict(self, sample: int, window: tuple[int, int], defect: Defect) -> Verdict:
         """The verdict in place of one that could not be made."""
@@ -295,8 +310,8 @@ class Discriminator:
         if alarm is not None:
             reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
-        if self._stood_in is not None and trigger.window.first <= self._stood_in:
-            reason = f"not matched: the law ran on an estimate until sample {self._stood_in}"
+        if self._last_on_estimate is not None and trigger.window.first <= self._last_on_estimate:
+            reason = f"not matched: the law ran on an estimate until sample {self._last_on_estimate}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
         if reason := self._trial_between(trigger.window.first, trigger.window.last):
             return [self._judge(trigger, MatchResult(REFUSED, f"not matched: {reason}"))]
@@ -312,11 +327,11 @@ class Discriminator:
         with one_thread():
             while self._given:
                 self._admitted(self._given.pop(0), trigger.window)
-        rival = self._pool.incumbent_at(trigger.operating_point)
-        incumbent = rival.parameters if rival else None
+        candidate = self._pool.incumbent_at(trigger.operating_point)
+        incumbent = candidate.parameters if candidate else None
         start = incumbent or self.settings.start
         if self._pool.estranged and start.model.structure_name in self.settings.prior:
-            start = self._plain.start  # in the structure of the memory, its values would be the prior
+            start = self._uninformed.start  # in the structure of the memory, its values would be the prior
         return MatchRequest(
             sample=trigger.sample,
             operating_point=trigger.operating_point,
@@ -326,26 +341,32 @@ class Discriminator:
         )
 
     def _take(self, sample: Sample, taken: Signals | None) -> list[Verdict]:
-        """Have all candidates take a sample at which the plant's health has been judged; return the verdict
-        that is due if a fault has just begun or ended."""
+        """Have all candidates take a sample at which the plant's health has been judged.
+
+        `taken` are the outputs that the law took; None: those of the sample. Returns the verdict that is due
+        if a fault has just begun or ended.
+        """
         verdicts: list[Verdict] = []
         news = self._health.news if self._health is not None else None
-        gone = self._remove_spoilt(news) if news is not None and news.last is None else ()
+        has_begun = news is not None and news.last is None
+        gone = self._remove_spoilt(news) if news is not None and has_begun else ()
         if sample.usable:
             self.forecaster.push(sample, taken)
         if news is not None:
             reason = f"{news.fault.value} is over: the plant responds normally again"
-            match = MatchResult(reason=news.reason if news.last is None else reason)
+            match = MatchResult(reason=news.reason if has_begun else reason)
             window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
             with one_thread():
                 self._pool.score_leader()
-                verdicts.append(self._told(self._known(sample.index, window, match, dismissed=gone)))
+                verdicts.append(self._verdict_of(self._known(sample.index, window, match, dismissed=gone)))
         self.forecaster.notes = self._notes()
         return verdicts
 
-    def _taken(self, sample: Sample) -> Signals | None:
-        """What the law took in place of a sample's outputs where sensors are read through: what was estimated
-        at the sample before; None: nothing."""
+    def _taken_by_law(self, sample: Sample) -> Signals | None:
+        """The outputs that the law took where sensors are read through; None: those of the sample.
+
+        In place of a reading that is not believed it takes what was estimated at the sample before.
+        """
         estimates = {
             estimate.signal: estimate.value
             for estimate in self.monitor.estimates
@@ -353,15 +374,16 @@ class Discriminator:
         }
         if not estimates:
             return None
-        self._stood_in = sample.index
+        self._last_on_estimate = sample.index
         return tuple(map(estimates.get, self.settings.plant.outputs, sample.outputs))
 
     def _watch(self, sample: Sample) -> None:
-        """Judge the plant's health; it tells of an alarm that has just begun or ended."""
+        """Judge the plant's health at a sample; its `news` is an alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
-            if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
+            is_other_session = not sample.continues(self._recent[-1])
+            if is_other_session:  # to which the indices of alarms and trials do not belong
                 self.monitor = _monitor(self.settings)
-                self._stood_in = None
+                self._last_on_estimate = None
                 self._trials = {}
                 self._fault_before = None
             self._recent.clear()
@@ -386,6 +408,7 @@ class Discriminator:
             return self._pool.expel(alarm.first, alarm.flagged)
 
     def _fit(self, trigger: Trigger) -> None:
+        """Fit the structures to the window of a trigger, if that is due."""
         with one_thread():
             self._pool.structures.push(trigger.window, excited=trigger.excited)
 
@@ -404,7 +427,8 @@ class Discriminator:
                 self._fit(trigger)
             dismissed = pool.leave_memory()
             pool.enter()
-            scored = bool(match.word) and not pool.empty
+            was_matched = bool(match.word)
+            scored = was_matched and not pool.empty
             if scored:
                 try:
                     pool.score(window)
@@ -414,11 +438,12 @@ class Discriminator:
             if not scored:
                 pool.score_leader()
             knowledge = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
-            self._door.learn(verdict := self._told(knowledge))
+            verdict = self._verdict_of(knowledge)
+            self._door.learn(verdict)
             return verdict
 
-    def _told(self, known: Knowledge) -> Verdict:
-        """The verdict of what is known; nothing has to start over if a defect prevents only this."""
+    def _verdict_of(self, known: Knowledge) -> Verdict:
+        """The verdict on what is known. If a defect prevents only this, no part has to start over."""
         try:
             verdict = verdict_of(known)
         except Exception as error:
@@ -481,14 +506,14 @@ class Discriminator:
         return check
 
     def _residuals(self, window: Window) -> Residuals:
+        """Residuals of the nominal twin over the newest samples of a window; NaN without one."""
         nominal = self.nominal
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
         alarms = [alarm for alarm in self.monitor.alarms if alarm.alters]
-        over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
-        first = max(
-            window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
-        )
+        end_of_fault = alarms[-1].last if alarms else None
+        after_fault = 0 if end_of_fault is None else end_of_fault + 1  # before, residuals are not the twin's
+        first = max(window.first, window.last - self.settings.schedule.stride + 1, after_fault)
         newest = window.part(min(first, window.last), window.last)
         return residuals(nominal.parameters, newest, self.settings.law)
 
@@ -512,6 +537,7 @@ class Discriminator:
         return self.monitor.fault_between(first, last) is not None or bool(self._trial_between(first, last))
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
+        """Make an accepted match a candidate, which is named after its operating point."""
         match = report.match
         window = trigger.window
         if match.status is not Status.ACCEPTED:
@@ -524,6 +550,7 @@ class Discriminator:
             return self._admitted(candidate, window)
 
     def _admitted(self, candidate: Candidate, window: Window) -> MatchResult:
+        """Have the pool admit a candidate, whose models are identified on this window."""
         try:
             return MatchResult(ADMITTED, self._pool.admit(candidate, window))
         except TwinmatchError as error:
@@ -538,7 +565,7 @@ class Outcome(NamedTuple):
     settled: tuple[Sample, ...]
     """The sample as the door settled it, behind the stand-ins for those lost before it."""
     estimates: tuple[EstimatedReading, ...] = ()
-    """What sensors should have read that were not believed."""
+    """Of sensors that were not believed, what they should have read."""
 
 
 class Twin:
@@ -584,7 +611,7 @@ def _monitor(settings: TwinSettings) -> Monitor | ChannelMonitor:
 def _schedule(settings: TwinSettings) -> Schedule:
     """A schedule by the set-point if the loop is known; otherwise by the inputs."""
 
-    def left_open(window: Window) -> str:
+    def not_determined_by(window: Window) -> str:
         with one_thread():
             return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
 
@@ -594,5 +621,5 @@ def _schedule(settings: TwinSettings) -> Schedule:
         settings.effect,
         settings.regime_width,
         units=settings.units,
-        determines=left_open,
+        undetermined=not_determined_by,
     )

@@ -1,5 +1,7 @@
-"""The candidates that forecast beside the plant, and how their forecasts stand: replaced when they change, so
-what is derived from them is derived once."""
+"""The candidates that forecast beside the plant, and how their forecasts stand.
+
+Both are never changed but replaced, so that what is derived from them is computed once.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -46,11 +48,20 @@ class Entrants(dict[str, Entrant]):
         return tuple(name for name in self if name not in self.external)
 
     def foresight(self, law: Law | None, period: float) -> Foresight:
-        """What the native ones forecast with, always with the same law and sample time (s)."""
+        """The joint forecast of the native ones; built once, so law and sample time (s) must not change."""
         if self._foresight is None:
             filters = [self[name].state_filter for name in self.native]
             self._foresight = foresight_of([(f.parameters, f.free) for f in filters], law, period)
         return self._foresight
+
+
+class _Savings(NamedTuple):
+    """Characters that a candidate has saved per forecast."""
+
+    total: float
+    """At all horizons together; NaN before any forecast could be compared."""
+    by_horizon: list[float]
+    """NaN where none could be compared yet."""
 
 
 class Standings:
@@ -69,7 +80,7 @@ class Standings:
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
-        totals = {name: total for name, (total, _) in self._saved.items() if name in names}
+        totals = {name: savings.total for name, savings in self._saved.items() if name in names}
         return max(totals, key=lambda name: np.nan_to_num(totals[name], nan=-np.inf), default=None)
 
     @cached_property
@@ -90,8 +101,8 @@ class Standings:
         if math.isnan(best.gain):
             return f"{best.name} leads until a forecast can be compared with the samples"
         saved = f"{best.name} forecasts best: it saves {max(best.gain, 0.0):.2f} characters per forecast"
-        right = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
-        return saved + (right if len(self._entrants) > 1 else "")
+        beside_others = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
+        return saved + (beside_others if len(self._entrants) > 1 else "")
 
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:
@@ -109,26 +120,26 @@ class Standings:
 
     def _score(self, name: str, signal: int | None = None) -> ForecastScore:
         """The score of a candidate; its skills and bands in all signals or in one."""
-        assert self._ledger is not None  # noqa: S101 — otherwise nobody has saved anything
+        assert self._ledger is not None  # noqa: S101 — without a ledger there are no names to score
         candidate = self._entrants[name].candidate
         calibration = self._entrants[name].calibration
-        total, gains = self._saved[name]
+        savings = self._saved[name]
         first, last = candidate.samples
         coverage = []
         independent = []
         for horizon in self._horizons:
             before = max((shorter for shorter in self._horizons if shorter < horizon), default=0)
-            share, number = calibration.coverage(before, horizon, signal)
-            coverage.append(share)
-            independent.append(number)
+            share_inside, effective = calibration.coverage(before, horizon, signal)
+            coverage.append(share_inside)
+            independent.append(effective)
         skills = np.concatenate(self._ledger.skills(name, signal)).tolist()
         return ForecastScore(
             name=name,
             parameters=candidate.parameters,
             first=first,
             last=last,
-            gain=total,
-            gains=tuple(gains),
+            gain=savings.total,
+            gains=tuple(savings.by_horizon),
             forecasts=self._ledger.forecasts(name),
             coverage=tuple(coverage),
             independent=tuple(independent),
@@ -136,10 +147,11 @@ class Standings:
         )
 
     @cached_property
-    def _saved(self) -> dict[str, tuple[float, list[float]]]:
-        """Characters saved by each at all horizons together, NaN without any, and at each horizon."""
+    def _saved(self) -> dict[str, _Savings]:
+        """What each candidate has saved, by name; empty without a ledger."""
         if self._ledger is None:
             return {}
         gains = self._ledger.gains(tuple(self._entrants))
         totals = np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
-        return dict(zip(self._entrants, zip(totals.tolist(), gains.tolist(), strict=True), strict=True))
+        saved = map(_Savings, totals.tolist(), gains.tolist())
+        return dict(zip(self._entrants, saved, strict=True))

@@ -51,7 +51,7 @@ class ExperimentReport:
     holds: tuple[float, ...] = ()
     """How long each of them is held, s."""
     reason: str = ""
-    """The same in words; why it ended, or is refused."""
+    """What its course and others bring, in words; at its end why it ended, or why it is refused."""
     request: str = ""
     """The word of the request that it belongs to."""
 

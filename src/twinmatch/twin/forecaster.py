@@ -72,22 +72,22 @@ class _Forecast(NamedTuple):
     means: FloatArray
     """Outputs, then inputs, shape (o + m, N)."""
     variances: FloatArray
-    """The same; not of use unless bands were wanted."""
+    """Those of outputs, then inputs, shape (o + m, N); meaningless unless bands were wanted."""
 
 
 class _Departure(NamedTuple):
-    """What forecasts from one sample."""
+    """All that is needed to forecast from one sample later, once the samples after it are there."""
 
     leader: str
     outlooks: Mapping[str, Outlook]
     """Those of the leader, and of the candidates whose equations are external."""
     names: tuple[str, ...]
-    """Of the others, in the order of `now`."""
+    """Those of the other candidates, in the order of `now`."""
     foresight: Foresight | None
     now: TwinsNow | None
     arx: ArxForecast
     widths: Mapping[str, FloatArray]
-    """Of the bands of those that learn from this forecast."""
+    """Widths of the bands of the candidates that learn from this forecast, by name."""
 
 
 class Forecaster:
@@ -193,10 +193,10 @@ class Forecaster:
             self._catch_up()
         if self._twins and sample.index % self._stride == 0:
             self._departures[sample.index] = self._departure()
-        for place, ahead in enumerate(self.horizons):
-            departure = self._departures.get(sample.index - ahead)
+        for number, horizon in enumerate(self.horizons):
+            departure = self._departures.get(sample.index - horizon)
             if departure is not None:
-                self._learn(departure, sample.index - ahead, place)
+                self._learn(departure, sample.index - horizon, number)
         # One forecast more is kept: `check_bands` needs one that is old enough at every sample.
         self._departures.pop(sample.index - self._longest - self._stride, None)
 
@@ -207,15 +207,15 @@ class Forecaster:
         samples = [sample for sample, _ in self._waiting]
         outputs_taken = np.array([taken for _, taken in self._waiting])
         self._waiting = []
-        came = np.array([_row_of(sample) for sample in samples])
-        if not finite(came):
-            bad = samples[int(np.argmin(np.isfinite(came).all(axis=1)))].index
+        new_rows = np.array([_row_of(sample) for sample in samples])
+        if not finite(new_rows):
+            bad = samples[int(np.argmin(np.isfinite(new_rows).all(axis=1)))].index
             raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
-        rows = np.concatenate([self._rows, came]) if self._rows.size else came
+        rows = np.concatenate([self._rows, new_rows]) if self._rows.size else new_rows
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
             references, _, inputs, _ = self._columns
-            for row, outputs in zip(came, outputs_taken, strict=True):
+            for row, outputs in zip(new_rows, outputs_taken, strict=True):
                 self._controller = self._law.follow(self._controller, row[references], outputs, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
@@ -225,6 +225,7 @@ class Forecaster:
         return tuple(starmap(slice, pairwise(accumulate((0, *self._recent[-1].shape)))))
 
     def _departure(self) -> _Departure:
+        """What forecasts from the newest sample need."""
         self._catch_up()
         leader = self.leader or self.names[0]
         outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
@@ -237,8 +238,8 @@ class Forecaster:
             states = [f.states for f in filters]
             covariances = [f.joint for f in filters]
             loop_state = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
-        skipped = self._recent[-1].index // self._stride % _OTHERS_EVERY
-        learning = (leader,) if skipped else self._twins
+        forecast_number = self._recent[-1].index // self._stride
+        learning = self._twins if forecast_number % _OTHERS_EVERY == 0 else (leader,)
         widths = {name: self._twins[name].calibration.widths for name in learning}
         return _Departure(leader, outlooks, names, foresight, loop_state, self.arx, widths)
 
@@ -322,34 +323,37 @@ class Forecaster:
         return self._arx.departure(self._controller)
 
     def check_bands(self, samples: int) -> BandCheck | None:
-        """How the newest readings lie in the bands forecast for them; None without a forecast, or if no
-        candidate is left since: nobody leads then, whose bands these could be.
+        """How the newest readings, of so many samples, lie in the bands forecast for them.
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
-        the actual set-points (or inputs) and disturbances. Samples that were lost or refused
-        are not compared. At the beginning of a session a forecast that covers half of these samples is
-        compared with them.
+        the actual set-points (or inputs) and disturbances. Samples that were lost or refused are not
+        compared. At the beginning of a session a forecast that covers half of these samples is compared with
+        them.
+
+        Returns:
+            The comparison; None without a forecast, without a reading, or if no candidate is left that leads.
         """
         if not self._recent or self.leader is None:
             return None
         newest = self._recent[-1].index
-        departures = [sample for sample in self._departures if sample <= newest - samples]
-        if not departures and len(self._recent) <= samples:
-            departures = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
-            samples = newest - max(departures, default=newest)
-        if not departures:
+        old_enough = [sample for sample in self._departures if sample <= newest - samples]
+        is_beginning = len(self._recent) <= samples
+        if not old_enough and is_beginning:
+            old_enough = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
+            samples = newest - max(old_enough, default=newest)
+        if not old_enough:
             return None
         self._catch_up()
-        departure = self._departures[departures[-1]]
+        departure = self._departures[old_enough[-1]]
         outlook = departure.outlooks[departure.leader]
-        came = self._rows[departures[-1] - newest - 1 :]
+        rows_since = self._rows[old_enough[-1] - newest - 1 :]
         try:
-            forecast = outlook.forecast(*self._conditions(came))
+            forecast = outlook.forecast(*self._conditions(rows_since))
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
             return None
-        rows = came[-samples:]
+        rows = rows_since[-samples:]
         is_received = rows[:, -1] > 0.0
         if not is_received.any():
             return None
@@ -368,11 +372,11 @@ class Forecaster:
                 raise
             self._set({twin_name: twin for twin_name, twin in self._twins.items() if twin_name != name})
 
-    def _conditions(self, came: FloatArray) -> _Conditions:
-        """What forecasts from the first of some samples are made for."""
+    def _conditions(self, rows_since: FloatArray) -> _Conditions:
+        """What forecasts are made for, from the rows of the sample they depart from and of those after it."""
         references, _, inputs, disturbances = self._columns
-        ahead = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
-        disturbance_rows = np.ascontiguousarray(came[:, disturbances])
+        ahead = np.ascontiguousarray(rows_since[1:, inputs if self._law is None else references])
+        disturbance_rows = np.ascontiguousarray(rows_since[:, disturbances])
         return _Conditions(ahead, disturbance_rows if disturbance_rows.size else None)
 
     def _begin(self) -> None:
@@ -386,7 +390,10 @@ class Forecaster:
             twin.state_filter.restart()
 
     def _built(self, candidate: Candidate, before: Entrant | None) -> Entrant:
-        """Build a twin and run it over the newest samples, as far back as they are kept."""
+        """Build a twin and run it over the newest samples, as far back as its states need.
+
+        Its bands begin with what those of `before` have learned.
+        """
         if before:
             calibration = before.calibration.copy()
         else:
@@ -411,21 +418,21 @@ class Forecaster:
         state_filter.follow(recent)
         return Entrant(candidate, state_filter, calibration)
 
-    def _learn(self, departure: _Departure, sample: int, place: int) -> None:
-        """Score the forecasts made at one sample on the samples up to one of their horizons."""
-        ahead = self.horizons[place]
+    def _learn(self, departure: _Departure, sample: int, number: int) -> None:
+        """Score the forecasts made at a sample on those after it, up to the horizon of this number."""
+        ahead = self.horizons[number]
         ledger = self._ledger
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         self._catch_up()
-        came = self._rows[-ahead - 1 :]
-        before = max((horizon for horizon in self.horizons if horizon < ahead), default=0)
-        is_received = came[1:, -1] > 0.0
-        if not is_received[before:].any():
+        rows_since = self._rows[-ahead - 1 :]
+        previous_horizon = max((horizon for horizon in self.horizons if horizon < ahead), default=0)
+        is_received = rows_since[1:, -1] > 0.0
+        if not is_received[previous_horizon:].any():
             return
-        conditions = self._conditions(came)
+        conditions = self._conditions(rows_since)
         signals = ledger.noise.size
-        measured = self._measured(came, signals)
+        measured = self._measured(rows_since, signals)
         banded = departure.widths.keys() & self._twins.keys()
         forecasts = self._forecasts(departure, conditions, banded)
         means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
@@ -436,22 +443,22 @@ class Forecaster:
                 widths = deviations(twin.candidate.parameters.model, forecast.variances)[:signals]
                 quotients = np.abs(error) / widths
                 quotients[:, ~is_received] = np.nan
-                twin.calibration.learn(quotients, before, departure.widths[name])
+                twin.calibration.learn(quotients, previous_horizon, departure.widths[name])
         received = np.flatnonzero(is_received)
-        new = received[received >= before]
+        new = received[received >= previous_horizon]
         baselines = measured - departure.arx.referees(*conditions)[:, :signals]
-        ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], place)
+        ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], number)
         self.standings = Standings(self._twins, ledger, self.horizons)
         if ahead == self._longest and departure.leader in forecasts:
-            paths = rms(rms(errors[:, :, received], ledger.noise[:, None]))
-            leading = paths[list(forecasts).index(departure.leader)]
-            self._leader_confidence.add(float(leading), float(paths.min()))
+            error_sizes = rms(rms(errors[:, :, received], ledger.noise[:, None]))
+            of_leader = error_sizes[list(forecasts).index(departure.leader)]
+            self._leader_confidence.add(float(of_leader), float(error_sizes.min()))
 
-    def _measured(self, came: FloatArray, signals: int) -> FloatArray:
-        """The forecast signals behind the first of some samples, shape (signals, N)."""
+    def _measured(self, rows_since: FloatArray, signals: int) -> FloatArray:
+        """The forecast signals of the N samples after the first of these rows, shape (signals, N)."""
         first = self._columns[1].start
-        rows = np.ascontiguousarray(came[:, first : first + signals].T)
-        return rows[:, 1:]
+        by_signal = np.ascontiguousarray(rows_since[:, first : first + signals].T)
+        return by_signal[:, 1:]
 
     def _forecasts(
         self, departure: _Departure, conditions: _Conditions, banded: Collection[str]

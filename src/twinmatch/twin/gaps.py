@@ -13,7 +13,7 @@ from twinmatch.dynamics import Law, commands_of
 from twinmatch.signals import FloatArray, Sample, Window
 
 _PAST: Final = 60
-"""Samples from which the law's state is found: a limited PID shows its integral once it leaves the limit."""
+"""Samples from which the law's state is found: many, since a PID at a limit does not show its integral."""
 
 
 class GapFiller:
@@ -92,7 +92,10 @@ def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sa
 def _with_course(
     lost: Sequence[Sample], references: FloatArray, outputs: FloatArray, inputs: FloatArray
 ) -> list[Sample]:
-    """The lost samples with the first rows of these."""
+    """The lost samples with these set-points, outputs and inputs.
+
+    Their last row is for the sample after the lost ones, and is not used.
+    """
     samples = []
     for k, sample in enumerate(lost):
         samples.append(
@@ -107,9 +110,10 @@ def _with_course(
 
 
 def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Set-points, shape (N, r), and outputs, (N, p), that the samples behind one may have had.
+    """Courses that the N samples `behind` one may have had: set-points, shape (N, r), and outputs, (N, p).
 
-    An output moves only after the set-point that moves it.
+    First the set-point moves in a ramp, then it steps at each of the samples in turn. An output moves only
+    after the step that moves it.
     """
     old = np.array(before.references)
     new = np.array(behind[-1].references)

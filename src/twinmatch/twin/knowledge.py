@@ -116,11 +116,12 @@ class Knowledge:
             return dict.fromkeys(self.horizons, FEW)
         doubts = leading.doubts(self.horizons, self.trusted)
         plant = leading.parameters.model.plant
-        for name, output in plant.outputs.items() if len(plant.outputs) > 1 else ():
-            signal_doubts = self.alone[name].doubts(self.horizons, self.trusted)
-            doubts = {
-                horizon: doubt.of(output.text or name) for horizon, doubt in signal_doubts.items()
-            } | doubts
+        if len(plant.outputs) == 1:
+            return doubts
+        for name, output in plant.outputs.items():
+            doubts_of_output = self.alone[name].doubts(self.horizons, self.trusted)
+            named = {horizon: doubt.of(output.text or name) for horizon, doubt in doubts_of_output.items()}
+            doubts = named | doubts  # at a horizon with a doubt already, that one stays
         return doubts
 
     @property
@@ -136,33 +137,34 @@ class Knowledge:
 
 def trust_of(known: Knowledge) -> Trust:
     """How far to trust the leader: the first reason against it that applies."""
-    level = TrustLevel.DOUBTFUL
-    reason = LEVEL_WORDS[TrustLevel.DOUBTFUL]
-    shown = f"the plant shows {known.fault.value}" if known.fault is not None else ""
-    if shown and known.fault not in _ADAPTABLE:
-        level = TrustLevel.FAULT
-        reason = shown
-    elif known.doubt or shown:
-        reason = known.doubt or shown
-    elif math.isnan(known.bands.miss):
-        level = TrustLevel.UNKNOWN
-        reason = known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
-    elif not known.outside:
-        return _tested(known.doubts, known)
-    return Trust(level, reason)
+    fault_in_words = f"the plant shows {known.fault.value}" if known.fault is not None else ""
+    if known.fault is not None and known.fault not in _ADAPTABLE:
+        return Trust(TrustLevel.FAULT, fault_in_words)
+    if known.doubt:
+        return Trust(TrustLevel.DOUBTFUL, known.doubt)
+    if known.fault is not None:
+        return Trust(TrustLevel.DOUBTFUL, fault_in_words)
+    if math.isnan(known.bands.miss):
+        return Trust(TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN])
+    if known.outside:
+        return Trust(TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL])
+    return _tested(known.doubts, known)
 
 
 def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
     """What the test says of a leader with nothing else against it."""
-    words = doubt_words(doubts)
-    words_trusted = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
-    if len(doubts) < len(known.horizons):
-        return Trust(TrustLevel.TRUSTED, f"{words_trusted}, but {words}" if words else words_trusted)
-    if words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
-        return Trust(TrustLevel.DOUBTFUL, words)
+    doubts_in_words = doubt_words(doubts)
+    trusted_in_words = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
+    passes_somewhere = len(doubts) < len(known.horizons)
+    if passes_somewhere and doubts_in_words:
+        return Trust(TrustLevel.TRUSTED, f"{trusted_in_words}, but {doubts_in_words}")
+    if passes_somewhere:
+        return Trust(TrustLevel.TRUSTED, trusted_in_words)
+    if doubts_in_words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
+        return Trust(TrustLevel.DOUBTFUL, doubts_in_words)
     if known.remembered and FEW in doubts.values():
         return Trust(TrustLevel.TRUSTED, _AS_BEFORE)
-    return Trust(TrustLevel.UNKNOWN, words or FEW.words)
+    return Trust(TrustLevel.UNKNOWN, doubts_in_words or FEW.words)
 
 
 def verdict_of(known: Knowledge) -> Verdict:

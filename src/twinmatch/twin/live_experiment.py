@@ -49,11 +49,11 @@ class LiveExperiment:
         self.before = newest.references
         """The set-points until then, to which it returns."""
         self._samples: list[Sample] = []
-        self._planned_at = 0
-        """Samples after which the newest course was found."""
+        self._samples_planned_on = 0
+        """How many samples there were when the newest course was found."""
         size = None if wish.minutes is None else round(60.0 * wish.minutes / settings.period)
-        self._begun = self._found = self._planned(snapshot, size)
-        self._expected = self._begun.course.characters
+        self._first_plan = self._newest_plan = self._planned(snapshot, size)
+        self._expected = self._first_plan.course.characters
         self.report = self._reported(newest.index, ExperimentPhase.PROPOSED, 0.0)
         """The newest."""
 
@@ -80,7 +80,7 @@ class LiveExperiment:
     @property
     def goal(self) -> LearningGoal:
         """What is to be known."""
-        return self._begun.goal
+        return self._first_plan.goal
 
     @property
     def brought(self) -> float:
@@ -92,13 +92,13 @@ class LiveExperiment:
         best, brought = self._lead
         if brought >= self._enough:
             return self.ended(best or "as much is known as was expected", ExperimentPhase.DECIDED)
-        if reason := self._over(verdict, snapshot, brought):
+        if reason := self._replanned_unless_over(verdict, snapshot, brought):
             return self.ended(reason)
         self.report = self._reported(verdict.sample, ExperimentPhase.RUNNING, brought)
         return self.report
 
-    def _over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
-        """Why it ends undecided; if it does not, its course is the best for the rest of its time."""
+    def _replanned_unless_over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
+        """Why it ends undecided; otherwise empty, and the best course for the rest is taken."""
         remaining = len(self._rest)
         indices = [s.index for s in self._samples]
         if verdict.level is TrustLevel.FAULT:
@@ -107,40 +107,41 @@ class LiveExperiment:
             return "stopped: samples are missing"
         if not remaining:
             return "its time is over"
-        if remaining < MIN_COURSE or self.goal.name == "fault":  # whose contenders begin at rest
+        begins_at_rest = self.goal.name == "fault"  # as its contenders do, so that it is planned only once
+        if remaining < MIN_COURSE or begins_at_rest:
             return ""
         try:
             plan = self._planned(snapshot, remaining, self._rest)
         except TwinmatchError as error:
             return f"stopped: {error}"
-        self._found = plan
-        self._planned_at = len(self._samples)
+        self._newest_plan = plan
+        self._samples_planned_on = len(self._samples)
         self._expected = brought + plan.course.characters
         return "" if plan.course.characters >= LEAST else "its rest would tell nothing more"
 
     @property
     def _rest(self) -> FloatArray:
         """Set-points still to come, shape (N, r)."""
-        return self._found.course.rows[len(self._samples) - self._planned_at :]
+        return self._newest_plan.course.rows[len(self._samples) - self._samples_planned_on :]
 
     @property
     def _enough(self) -> float:
         """Characters with which it is decided."""
-        return LEAD / math.log(2.0) if self.goal.pairs else NEARLY * self._begun.course.characters
+        return LEAD / math.log(2.0) if self.goal.pairs else NEARLY * self._first_plan.course.characters
 
     @property
     def _lead(self) -> tuple[str, float]:
-        """Of contenders to be told apart the best, and what the samples have brought, in characters."""
+        """The best of contenders that are to be told apart, and the characters that samples have brought."""
         if not self._samples:
             return "", 0.0
         outputs = np.array([sample.outputs for sample in self._samples])
         inputs = np.array([sample.inputs for sample in self._samples])
         with one_thread():
-            characters = characters_by(self._begun, outputs, inputs)
+            characters = characters_by(self._first_plan, outputs, inputs)
         if not self.goal.pairs:
             return "", float(characters.mean())
-        second, first = np.sort(characters)[-2:]
-        return self.goal.label(int(characters.argmax())), float(first - second)
+        second_best, best = np.sort(characters)[-2:]
+        return self.goal.label(int(characters.argmax())), float(best - second_best)
 
     def _planned(
         self, snapshot: Snapshot, size: int | None, rest: FloatArray | None = None
@@ -170,7 +171,7 @@ class LiveExperiment:
         for level, run in groupby(map(tuple, self._rest.tolist())):
             levels += level
             holds.append(len(list(run)) * self._settings.period)
-        # should nobody be there at its end, the set-point returns by itself
+        # If no program is left at its end, the set-point still returns.
         levels += self.before
         holds.append(self._settings.period)
         return ExperimentReport(
@@ -182,11 +183,11 @@ class LiveExperiment:
             brought,
             tuple(levels),
             tuple(holds),
-            reason=_beside(self._found),
+            reason=_beside(self._newest_plan),
         )
 
 
 def _beside(found: NextExperiment) -> str:
-    """What other courses of its length bring."""
+    """What a course brings, and what others of its length would, in words."""
     in_words = ", ".join(f"{course.name} {course.characters:.3g}" for course in found.others)
     return f"{found.course.characters:.3g} characters; in the same time {in_words}"

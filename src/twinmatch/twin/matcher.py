@@ -25,8 +25,8 @@ _blas = cache(ThreadpoolController)
 _lock = Lock()
 _logged: dict[str, Defect] = {}
 """Defects that prevented matches in this process, by their places."""
-_inside: list[Any] = []
-"""The limit on the process's BLAS, once for every thread that relies on it."""
+_limits_in_use: list[Any] = []
+"""The one limit on the process's BLAS, as often as threads rely on it; the last of them lifts it."""
 
 
 @contextmanager
@@ -37,13 +37,15 @@ def one_thread() -> Iterator[None]:
     bits differ. Verdicts are compared bit for bit, and the matrices here are too small to gain from threads.
     """
     with _lock:
-        _inside.append(_inside[0] if _inside else _blas().limit(limits=1, user_api="blas"))
+        _limits_in_use.append(
+            _limits_in_use[0] if _limits_in_use else _blas().limit(limits=1, user_api="blas")
+        )
     try:
         yield
     finally:
         with _lock:
-            limit = _inside.pop()
-            if not _inside:
+            limit = _limits_in_use.pop()
+            if not _limits_in_use:
                 limit.restore_original_limits()
 
 
@@ -90,8 +92,9 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     try:
         with one_thread():
             match = _matched(request, settings, start, free)
-            new = request.incumbent is None and settings.free == first.structure.free
-            if new and match.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
+            may_change_structure = request.incumbent is None and settings.free == first.structure.free
+            most_left = LEFT if settings.law is None else GateLimits().chi2
+            if may_change_structure and match.chi2 > most_left:
                 match = _in_another_structure(request, settings, match)
     except TwinmatchError:
         raise

@@ -112,7 +112,7 @@ class Mirror:
             health = HealthSettings.of(plant, self._period)
         self._door = Door(self._law, gap, health)
         self._previous: Sample | None = None
-        self._started = 0
+        self._samples_followed = 0
 
     @property
     def parameters(self) -> Parameters:
@@ -139,45 +139,48 @@ class Mirror:
         return self._push(sample)
 
     def _push(self, sample: Sample) -> MirrorState:
+        """Take one sample that the door has settled."""
         if self._previous is None or not sample.follows(self._previous):
             self._restart(sample)
-        row = _disturbances(sample)
+        disturbances = _disturbances(sample)
         state = (
-            self._drive_twin(sample, row) if self._pid is None else self._advance_both(sample, self._pid, row)
+            self._drive_twin(sample, disturbances)
+            if self._pid is None
+            else self._advance_both(sample, self._pid, disturbances)
         )
-        self._driven = advance(self._parameters, self._driven, sample.inputs, self._period, row)
+        self._driven = advance(self._parameters, self._driven, sample.inputs, self._period, disturbances)
         self._previous = sample
         self._samples.append(sample)
         return state
 
-    def _drive_twin(self, sample: Sample, row: FloatArray | None) -> MirrorState:
-        """The driven twin alone."""
+    def _drive_twin(self, sample: Sample, disturbances: FloatArray | None) -> MirrorState:
+        """The state of the driven twin, without that of the other."""
         closed = np.full(len(sample.outputs), np.nan)
         commands = np.full(len(sample.inputs), np.nan)
-        return self._observe(sample, closed, commands, row)
+        return self._observe(sample, closed, commands, disturbances)
 
-    def _advance_both(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
+    def _advance_both(self, sample: Sample, pid: Controller, disturbances: FloatArray | None) -> MirrorState:
         """Both twins; advances the closed-loop one to the next tick."""
-        closed = readings(self._parameters, self._closed, row)
-        if self._started < 2:
+        closed = readings(self._parameters, self._closed, disturbances)
+        if self._samples_followed < 2:
             # The controller's state follows from two recorded samples; until then it is the plant's.
-            state = self._observe(sample, closed, np.array(sample.inputs), row)
+            state = self._observe(sample, closed, np.array(sample.inputs), disturbances)
             pid.follow(sample.references, sample.outputs, sample.inputs)
-            self._started += 1
+            self._samples_followed += 1
         else:
-            state = self._observe(sample, closed, pid.step(sample.references, closed), row)
-        self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, row)
+            state = self._observe(sample, closed, pid.step(sample.references, closed), disturbances)
+        self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, disturbances)
         return state
 
     def _restart(self, sample: Sample) -> None:
-        row = _disturbances(sample)
-        start = begin(self._parameters, sample.outputs, input=sample.inputs, disturbances=row)
+        disturbances = _disturbances(sample)
+        start = begin(self._parameters, sample.outputs, input=sample.inputs, disturbances=disturbances)
         self._closed = start if self._law is not None else np.full(start.size, np.nan)
         self._driven = start
         self._pid = None if self._law is None else Controller(self._law)
         self._recent.clear()
         self._samples.clear()
-        self._started = 0
+        self._samples_followed = 0
 
     def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest as estimated."""
@@ -193,18 +196,18 @@ class Mirror:
         return advance(new, state_filter.states, newest.inputs, self._period, _disturbances(newest))
 
     def _observe(
-        self, sample: Sample, closed: FloatArray, commands: FloatArray, row: FloatArray | None
+        self, sample: Sample, closed: FloatArray, commands: FloatArray, disturbances: FloatArray | None
     ) -> MirrorState:
-        driven = readings(self._parameters, self._driven, row, sample.inputs)
+        driven = readings(self._parameters, self._driven, disturbances, sample.inputs)
         y = np.array(sample.outputs)
         u = np.array(sample.inputs)
         residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
         if sample.seen or not self._recent:
             self._recent.append(residual)
         sizes = rms(np.array(self._recent), axis=0).tolist()
-        of_y = slice(y.size)
-        of_u = slice(y.size, y.size + u.size)
-        of_driven = slice(y.size + u.size, None)
+        of_closed_y = slice(y.size)
+        of_closed_u = slice(y.size, y.size + u.size)
+        of_driven_y = slice(y.size + u.size, None)
         names = self._parameters.model.states
         return MirrorState(
             sample=sample,
@@ -213,12 +216,12 @@ class Mirror:
             closed_states=dict(zip(names, self._closed.tolist(), strict=True)),
             driven_output=tuple(driven.tolist()),
             driven_states=dict(zip(names, self._driven.tolist(), strict=True)),
-            closed_residual_y=tuple(residual[of_y]),
-            closed_residual_u=tuple(residual[of_u]),
-            driven_residual_y=tuple(residual[of_driven]),
-            closed_rms_y=tuple(sizes[of_y]),
-            closed_rms_u=tuple(sizes[of_u]),
-            driven_rms_y=tuple(sizes[of_driven]),
+            closed_residual_y=tuple(residual[of_closed_y]),
+            closed_residual_u=tuple(residual[of_closed_u]),
+            driven_residual_y=tuple(residual[of_driven_y]),
+            closed_rms_y=tuple(sizes[of_closed_y]),
+            closed_rms_u=tuple(sizes[of_closed_u]),
+            driven_rms_y=tuple(sizes[of_driven_y]),
         )
 
 
@@ -275,12 +278,12 @@ class Fits(NamedTuple):
 
     @property
     def worst(self) -> tuple[float, float]:
-        """Of an output, and of an input."""
+        """The least fit of an output, and of an input."""
         return min(self.outputs), min(self.inputs)
 
     @property
     def shown(self) -> dict[str, OperatingPoint]:
-        """By the letters of outputs and inputs; of one a number."""
+        """The fits by the letters of outputs and inputs; those of a single one as a number."""
         return {"y": point_of(self.outputs), "u": point_of(self.inputs)}
 
 

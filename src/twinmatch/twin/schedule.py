@@ -116,13 +116,21 @@ class Trigger(NamedTuple):
 
 
 class Movements:
-    """Movements of what counts, each as soon as it is far enough or a lesser one has lasted."""
+    """Movements of the expected outputs, or of the set-points.
+
+    Each is found as soon as it is far enough or, if it is a lesser one, has lasted.
+    """
 
     def __init__(
         self, settings: ScheduleSettings, effect: InputEffect | None, units: Signals = (1.0,)
     ) -> None:
-        """Begin without samples; `effect`: what the inputs do to the outputs, None: the set-points count.
-        `units` of the outputs, in that of the first: so much larger is the least step of each."""
+        """Begin without samples.
+
+        Args:
+            settings: the least movement, and how long a lesser one has to last.
+            effect: what the inputs do to the outputs; None: the set-points count.
+            units: those of the outputs, in that of the first: so much larger is the least step of each.
+        """
         self._least = settings.min_step * np.array(units)
         self._lasting = settings.min_span
         self._expected = None if effect is None else ExpectedMovement(effect)
@@ -164,7 +172,7 @@ class Schedule:
         width: float = 10.0,
         *,
         units: Signals = (1.0,),
-        determines: Callable[[Window], str] = lambda _: "",
+        undetermined: Callable[[Window], str] = lambda _: "",
     ) -> None:
         """Begin without samples.
 
@@ -175,14 +183,14 @@ class Schedule:
             width: width of a regime, in the output's unit: where the loop is not known, operating points are
                 rounded to a power of ten of at most a tenth of it.
             units: those of the outputs, in that of the first, in which least step and width are given.
-            determines: says in words what a window does not determine yet; empty if it does.
+            undetermined: says in words what a window does not determine yet; empty if nothing is left.
         """
         self.settings = settings or ScheduleSettings()
         self.period = period
         self._movements = Movements(self.settings, effect, units)
         self._driven = effect is not None
         self._decimals = [-math.floor(math.log10(width * unit / 10)) for unit in units]
-        self._open = determines
+        self._undetermined = undetermined
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
 
     def push(self, sample: Sample) -> Trigger | None:
@@ -201,54 +209,66 @@ class Schedule:
         return trigger or self._on_count(sample)
 
     def _restart(self, sample: Sample) -> None:
-        self._step: int | None = None  # index of the regime's first sample; None before the first movement
-        self._since = sample.index  # the same, but behind the windows before
-        self._previous_step = self._newest = sample.index  # the newest movement
-        self._judged = False  # whether the regime is judged
-        self._from_rest = False  # whether it began out of rest
-        self._judged_to = sample.index - 1  # last sample of the newest trigger's window
-        # Movements out of rest; the start of the record counts as one.
-        self._rested: deque[int] = deque([sample.index + self.settings.lead])
+        self._regime_step: int | None = None
+        """The first sample of the regime; None before the first movement."""
+        self._regime_start = sample.index
+        """The same, but no sample of an earlier excited window."""
+        self._previous_step = sample.index
+        """The first sample of the regime before."""
+        self._newest_movement = sample.index
+        """The first sample of the newest movement; not each begins a regime."""
+        self._judged = False
+        """Whether the regime is judged."""
+        self._from_rest = False
+        """Whether it began out of rest."""
+        self._judged_to = sample.index - 1
+        """Last sample of the newest trigger's window."""
+        self._movements_from_rest: deque[int] = deque([sample.index + self.settings.lead])
+        """First samples of movements out of rest; the start of the record counts as one."""
         self._movements.rest(sample)
 
     def _on_movement(self, sample: Sample, began: int) -> Trigger | None:
-        rested = began - self._newest >= self.settings.min_span
-        steady = rested and self._from_rest
+        """The trigger for the regime that a movement ends, if that is to be judged; the next one begins."""
+        is_from_rest = began - self._newest_movement >= self.settings.min_span
+        is_steady = is_from_rest and self._from_rest
         if not self._driven:  # a controller holds what it follows: time is enough
-            steady = began - self._since >= self.settings.min_span
-        since = max(began, self._judged_to + 1)
-        trigger = self._excited(sample.index, since - 1) if steady and self._waits else None
-        if rested:
-            self._rested.append(began)
-        self._newest = began
-        if trigger is not None or not self._waits:
-            if self._step is not None:
-                self._previous_step = self._step
-            self._step = began
-            self._since = since
+            is_steady = began - self._regime_start >= self.settings.min_span
+        regime_start = max(began, self._judged_to + 1)
+        trigger = self._excited(sample.index, regime_start - 1) if is_steady and self._waits else None
+        if is_from_rest:
+            self._movements_from_rest.append(began)
+        self._newest_movement = began
+        begins_regime = trigger is not None or not self._waits  # else it is one of the regime that waits
+        if begins_regime:
+            if self._regime_step is not None:
+                self._previous_step = self._regime_step
+            self._regime_step = began
+            self._regime_start = regime_start
             self._judged = False
-            self._from_rest = rested
+            self._from_rest = is_from_rest
         return trigger
 
     @property
     def _waits(self) -> bool:
-        return self._step is not None and not self._judged
+        """Whether a regime has begun that is not judged yet."""
+        return self._regime_step is not None and not self._judged
 
     def _on_count(self, sample: Sample) -> Trigger | None:
+        """The trigger that is due because enough samples have come, if any."""
         settings = self.settings
-        due = sample.index - self._judged_to >= self.settings.stride
+        is_due = sample.index - self._judged_to >= self.settings.stride
         missing = "the input did not move" if self._driven else "the set-point did not move"
         if self._waits:
-            lasted = sample.index - self._since
-            full = lasted >= settings.span
-            if due and not full:
-                missing = self._open(self._window(self._begin(sample.index), sample.index))
-                full = not missing and lasted >= _ENOUGH
-            if full:
+            lasted = sample.index - self._regime_start
+            is_full = lasted >= settings.span
+            if is_due and not is_full:
+                missing = self._undetermined(self._window(self._begin(sample.index), sample.index))
+                is_full = not missing and lasted >= _ENOUGH
+            if is_full:
                 self._judged = True
                 return self._excited(sample.index, sample.index)
             missing = f"the window is not full yet{missing and ': '}{missing}"
-        if not due:
+        if not is_due:
             return None
         window = self._window(self._judged_to + 1, sample.index)
         self._judged_to = sample.index
@@ -259,8 +279,10 @@ class Schedule:
         if not self._driven:
             return point_of(window.references[-1])
         newest = window.outputs[-self.settings.min_span :].T
-        means = zip(newest, self._decimals, strict=True)  # avoids an operating point of minus zero
-        return point_of([round(float(np.mean(y)), decimals) + 0.0 for y, decimals in means])
+        rounded = [
+            round(float(np.mean(y)), decimals) for y, decimals in zip(newest, self._decimals, strict=True)
+        ]
+        return point_of([level + 0.0 for level in rounded])  # which makes minus zero zero
 
     def _begin(self, last: int) -> int:
         """First sample of an excited window that ends with `last`."""
@@ -268,11 +290,12 @@ class Schedule:
         lead = self.settings.lead
         if not self._driven:
             return max(self._previous_step - lead, oldest)
-        while self._rested and self._rested[0] - lead < oldest:
-            self._rested.popleft()
-        return self._rested[0] - lead if self._rested else oldest
+        while self._movements_from_rest and self._movements_from_rest[0] - lead < oldest:
+            self._movements_from_rest.popleft()
+        return self._movements_from_rest[0] - lead if self._movements_from_rest else oldest
 
     def _excited(self, index: int, last: int) -> Trigger:
+        """The trigger at sample `index` for the excited window that ends with `last`."""
         window = self._window(self._begin(last), last)
         self._judged_to = last
         return Trigger(index, window, True, self._point(window))

@@ -30,9 +30,9 @@ from twinmatch.settings import setting
 from twinmatch.signals import Signals
 from twinmatch.twin.schedule import ScheduleSettings
 
-_CLOSEST: Final = 10
-"""Least number of samples between two forecasts."""
-_REGIME: Final = 100.0
+_FEWEST_BETWEEN: Final = 10
+"""Fewest samples from one forecast to the next."""
+_REGIME_WIDTH: Final = 100.0
 """Width of a regime, in units of the output's noise."""
 
 
@@ -59,10 +59,10 @@ class ForecastSettings:
     def of(cls, scale: float, period: float) -> ForecastSettings:
         """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
         at least ten samples apart: at each, all candidates are simulated."""
-        often = max(scale, _CLOSEST * period / cls.every)
-        whole = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
-        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in whole)
-        return cls(horizons, cls.every * often, cls.memory * often)
+        interval_scale = max(scale, _FEWEST_BETWEEN * period / cls.every)
+        rounded = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
+        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in rounded)
+        return cls(horizons, cls.every * interval_scale, cls.memory * interval_scale)
 
     @property
     def scale(self) -> float:
@@ -169,7 +169,7 @@ class TwinSettings:
             law=running,
             sensor=plant.sensor or Sensor(),
             decimals=first.decimals + 1,
-            regime_width=_REGIME * first.noise,
+            regime_width=_REGIME_WIDTH * first.noise,
             health=HealthSettings.of(plant, period),
             forecasts=ForecastSettings.of(plant_scale(plant, period, scale), period),
         )

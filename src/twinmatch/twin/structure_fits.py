@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,8 @@ EVERY_S: Final = 600.0
 
 
 _GROWTH: Final = 1.5
-"""With what earlier sessions have shown, quiet samples teach, too: a structure is fitted again when it has so
-many times the samples."""
+"""With what earlier sessions have shown, quiet samples teach, too: a structure is fitted again once there are
+so many times as many samples."""
 
 
 def watched(plant: type[Plant]) -> tuple[Model, ...]:
@@ -70,6 +70,13 @@ class NewestSamples:
         samples = self.window
         if samples is not None and samples.first < first:
             self.window = samples.part(first, samples.last) if first <= samples.last else None
+
+
+class _Competitor(NamedTuple):
+    """A structure that competes as a candidate."""
+
+    candidate: Candidate
+    fit: StructureFit
 
 
 class StructureFits:
@@ -114,7 +121,7 @@ class StructureFits:
         self._fitted = NewestSamples(max(round(MAX_SPAN_S * pace), 1))
         self._fit_every = round(EVERY_S * pace)
         self._chosen_at: int | None = None
-        self._fits: dict[str, tuple[Candidate, StructureFit]] = {}
+        self._competitors: dict[str, _Competitor] = {}
         self._now: StructureFit | None = None
         self.watch(models)
         self.choice: StructureChoice | None = None
@@ -133,8 +140,9 @@ class StructureFits:
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """The structures that compete and can still be run, best fit first."""
-        able = (fit for fit in self._fits.values() if not fit[1].model.lost)
-        return tuple(candidate for candidate, _ in sorted(able, key=lambda fit: fit[1].charge))
+        able = [competitor for competitor in self._competitors.values() if not competitor.fit.model.lost]
+        best_first = sorted(able, key=lambda competitor: competitor.fit.charge)
+        return tuple(competitor.candidate for competitor in best_first)
 
     def push(self, window: Window, *, excited: bool) -> None:
         """Take one window of the schedule, of a healthy plant; choose and fit if that is due.
@@ -146,8 +154,8 @@ class StructureFits:
         newest = self._compared.push(window)
         if before is None or newest.first > before.last or newest.last < before.last:
             self._chosen_at = None
-        aged = self._chosen_at is None or newest.last - self._chosen_at >= self._choose_every
-        if len(newest) >= self._least and aged:
+        is_choice_due = self._chosen_at is None or newest.last - self._chosen_at >= self._choose_every
+        if is_choice_due and len(newest) >= self._least:
             self._chosen_at = newest.last
             self.choice = choose_structure(
                 newest,
@@ -158,29 +166,35 @@ class StructureFits:
                 thorough=False,
             )
         window = self._fitted.push(window)
-        fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
-        if excited or (fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every):
+        fitted_at = max((each.candidate.samples[1] for each in self._competitors.values()), default=None)
+        is_aged = fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every
+        if excited or is_aged:
             self._compete(self._models, window)
         elif self._prior:
             self._compete([m for m in self._models if self._grown(m.structure_name, window)], window)
 
     def _grown(self, name: str, window: Window) -> bool:
-        """Whether a remembered structure has half as many samples again as its fit had."""
-        before = self._fits.get(name)
-        had = 0 if before is None or before[0].window is None else len(before[0].window)
-        return name in self._prior and len(window) >= _GROWTH * had
+        """Whether a structure is remembered and a window has enough more samples than its fit had."""
+        before = self._competitors.get(name)
+        fitted = None if before is None else before.candidate.window
+        samples = 0 if fitted is None else len(fitted)
+        return name in self._prior and len(window) >= _GROWTH * samples
 
     @property
     def estranged(self) -> str:
-        """How the plant differs from the one of earlier sessions, in the structure in which it is expected;
-        empty while it may be the same."""
+        """How the plant differs from that of earlier sessions, in a sentence; empty while it may be the same.
+
+        They are compared in the structure in which the memory expects the plant.
+        """
         name = next(iter(self._prior), "")
-        return unlike(self._fits[name][1], self._prior[name]) if name in self._fits else ""
+        expected = self._competitors.get(name)
+        return "" if expected is None else unlike(expected.fit, self._prior[name])
 
     def forget(self) -> None:
         """Leave what earlier sessions have shown, and the fits that rest on it."""
         rested = [model for model in self._models if model.structure_name in self._prior]
-        self._fits = {name: fit for name, fit in self._fits.items() if name not in self._prior}
+        for name in self._prior:
+            self._competitors.pop(name, None)
         # matches are made in another structure now
         self._prior = {}
         self._matched = None
@@ -207,14 +221,14 @@ class StructureFits:
         fitted = self._fitted.window
         if fitted is not None and fitted.last >= first:
             self._fitted.window = None
-        spans = {name: candidate.samples for name, (candidate, _) in self._fits.items()}
+        spans = {name: competitor.candidate.samples for name, competitor in self._competitors.items()}
         gone = tuple(name for name, span in spans.items() if span[1] >= first and span[0] <= last)
         for name in gone:
-            del self._fits[name]
+            del self._competitors[name]
         return gone
 
     def _compete(self, models: Sequence[Model], window: Window) -> None:
-        """Fit structures, except the matched one, to a window."""
+        """Fit structures to a window: not the matched one, unless it is remembered."""
         levels = window.outputs if self._law is None else window.references
         point = point_of(np.median(levels, axis=0))
         for model in models:
@@ -222,12 +236,13 @@ class StructureFits:
             free = model.structure.free
             if model is self._matched and name not in self._prior:
                 continue
-            before = self._fits.get(name)
-            fit = None if model.lost else self._fit(model, window, before and before[1], informed=True)
+            before = self._competitors.get(name)
+            start = None if before is None else before.fit
+            fit = None if model.lost else self._fit(model, window, start, informed=True)
             if fit is not None:
                 states = fit.states[-1]
                 candidate = Candidate(name, point, fit.parameters, window, free, fit.covariance, states)
-                self._fits[name] = candidate, fit
+                self._competitors[name] = _Competitor(candidate, fit)
 
     def _fit(
         self, model: Model, window: Window, start: StructureFit | None, *, informed: bool = False

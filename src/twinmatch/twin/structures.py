@@ -120,8 +120,8 @@ def choose_structure(
 ) -> StructureChoice:
     """Fit every structure to the windows and choose the one that errs least on samples held back.
 
-    Of equals the one with fewer parameters is chosen. A structure that runs
-    elsewhere and cannot be fitted is skipped.
+    Of equals the one with fewer parameters is chosen. A structure that runs elsewhere and cannot be fitted is
+    skipped.
 
     Args:
         windows: one or several windows recorded on one plant.
@@ -155,11 +155,7 @@ def choose_structure(
             if not model.is_external:
                 raise
     samples = (min(w.first for w in several), max(w.last for w in several))
-    if (
-        previous is not None
-        and previous.samples[1] < samples[0]
-        and before.keys() >= {s.name for s in scores}
-    ):
+    if previous is not None and _adds_to(previous, scores, samples[0]):
         earlier = {s.name: s.evidence for s in previous.scores}
         scores = [replace(s, evidence=np.append(earlier[s.name], s.held_back)) for s in scores]
     if not scores:
@@ -170,12 +166,22 @@ def choose_structure(
     return StructureChoice(tuple(scores), chosen.name, samples)
 
 
+def _adds_to(previous: StructureChoice, scores: Sequence[StructureScore], first: int) -> bool:
+    """Whether these scores, on samples from the `first` on, can be added to the evidence of a choice."""
+    if previous.samples[1] >= first:  # they share samples, whose evidence would count twice
+        return False
+    return {s.name for s in previous.scores} >= {s.name for s in scores}
+
+
 def _worse(costs: FloatArray, least: FloatArray) -> bool:
     """Whether costs, block by block, are higher than the least ones by more than chance."""
     mean = max(float(np.mean(costs)), _TINY)
     best = max(float(np.mean(least)), _TINY)
-    size = costs.size
-    if not math.isfinite(mean) or size / 2 * math.log(mean / best) > _EQUAL:
+    blocks = costs.size
+    if not math.isfinite(mean):
         return True
-    error = float(np.std(costs - least, ddof=1)) / math.sqrt(size) if size > 1 else math.inf
-    return float(np.mean(costs - least)) > _EQUAL * error
+    nats = blocks / 2 * math.log(mean / best)
+    if nats > _EQUAL:
+        return True
+    standard_error = float(np.std(costs - least, ddof=1)) / math.sqrt(blocks) if blocks > 1 else math.inf
+    return float(np.mean(costs - least)) > _EQUAL * standard_error

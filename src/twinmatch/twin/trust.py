@@ -1,4 +1,5 @@
-"""Whether readings lie in the leader's bands, and where they did; how often the leader was nearly best."""
+"""Whether readings lie in the leader's bands, at which levels they did, and how often the leader was nearly
+the best."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _NEAR: Final = 1.03
 _MOST: Final = 0.5
 """Share of the readings within the bands below which most are outside."""
 _DOUBT: Final = 0.5
-"""Prior count of either outcome (Jeffreys)."""
+"""Prior count of forecasts with a leader that was nearly best, and of those with another (Jeffreys)."""
 
 
 class BandCheck(NamedTuple):
@@ -82,7 +83,8 @@ def check_band(
 def _misses_of_each(
     values: FloatArray, bands: Sequence[Band], counted: BoolArray | None
 ) -> list[tuple[float, float]]:
-    return [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
+    """Miss and share inside of each signal; `values` have shape (signals, N)."""
+    return [_misses(signal, band, counted) for signal, band in zip(values, bands, strict=True)]
 
 
 def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -96,12 +98,12 @@ def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[
     """RMS of one signal's last samples in half widths of its band, and their share within it."""
     size = values.size
     rows = np.array([values, band.mean[-size:], band.low[-size:], band.high[-size:]])
-    came, mean, low, high = rows if counted is None else rows[:, counted]
-    half = np.where(came > mean, high - mean, mean - low)
+    received, mean, low, high = rows if counted is None else rows[:, counted]
+    half_width = np.where(received > mean, high - mean, mean - low)
     # At a limit of the controller a band has one side only.
-    half = np.maximum(half, 0.5 * (high - low))
-    miss = float(rms(came - mean, half))
-    share_inside = float(np.mean((low <= came) & (came <= high)))
+    half_width = np.maximum(half_width, 0.5 * (high - low))
+    miss = float(rms(received - mean, half_width))
+    share_inside = float(np.mean((low <= received) & (received <= high)))
     return miss, share_inside
 
 
@@ -128,8 +130,9 @@ class BandHistory:
         """Add the result for so many samples from index `first` on."""
         if check.miss >= self._limit:
             self.since = first if self.since is None else self.since
-            gross = check.miss >= 2.0 * self._limit and check.inside < _MOST
-            self.lasts |= first >= self.since + samples or gross
+            is_second_window = first >= self.since + samples
+            is_gross = check.miss >= 2.0 * self._limit and check.inside < _MOST
+            self.lasts |= is_second_window or is_gross
             return
         self.since = None
         self.lasts = False
@@ -142,7 +145,7 @@ class BandHistory:
 
         None if they never did. It shows where there is evidence, not where the physics ends.
         """
-        return next((s for s in self._spans if s[0] <= self._newest <= s[1]), None)
+        return next((span for span in self._spans if span[0] <= self._newest <= span[1]), None)
 
 
 def merged(spans: Sequence[tuple[float, float]], near: float = 0.0) -> list[tuple[float, float]]:

@@ -77,8 +77,8 @@ def judge_archive(
     failed: dict[int, Failure] = {}
     records: dict[int, dict[str, Any]] = {}
 
-    def hold(number: int, record: dict[str, Any]) -> None:
-        """Keep a record without its verdicts, as those of a large archive do not fit into memory."""
+    def take(number: int, record: dict[str, Any]) -> None:
+        """Take a record without its verdicts, as those of a large archive do not fit into memory."""
         records[number] = {key: value for key, value in record.items() if key != "verdicts"}
 
     def fail(number: int, reason: str) -> None:
@@ -96,7 +96,7 @@ def judge_archive(
         keys[number] = key_of(content, described)
         stored = store.find(path, keys[number]) if store else None
         if stored is not None:
-            hold(number, stored)
+            take(number, stored)
         else:
             todo.append(Job(number, path.resolve(), content, terms))
     reused = len(records)
@@ -109,7 +109,7 @@ def judge_archive(
             else:
                 if store is not None:
                     store.keep(paths[number], keys[number], record)
-                hold(number, record)
+                take(number, record)
             report(count, len(paths))
     return _archive(paths, records, tuple(failed[number] for number in sorted(failed)), reused)
 
@@ -130,6 +130,7 @@ def _archive(
 
 
 def _describe(terms: ArchiveTerms) -> str:
+    """All that a result depends on besides the session and the software, as text."""
     from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
 
     return repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
@@ -152,6 +153,7 @@ def _terms(
 
 
 def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[JobResult]:
+    """The outcomes of all jobs as they complete, from this machine or from a cluster."""
     if not todo:
         return
     if scheduler is None:

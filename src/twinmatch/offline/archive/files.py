@@ -38,14 +38,19 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
     A folder with an MCAP file or a `metadata.yaml` is a session. Any other folder stands for all sessions and
     recordings (`.mat`, `.csv`) in it and below, sorted by name. A pattern (`*`, `?`, `[…]`, `**`) that the
     shell has not resolved is resolved here. Whether they can be read is found out when they are judged. Of
-    the pieces of one run only the first is listed.
+    the pieces of one run only the first is listed, if it is among them.
     """
     paths: dict[Path, Path] = {}
     for name in named:
         for path in _resolve(Path(name)):
             paths.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
-    first = {whole: first_of(whole) for whole in paths}
-    return [path for whole, path in paths.items() if first[whole] == whole or first[whole] not in paths]
+    first_piece = {resolved: first_of(resolved) for resolved in paths}
+    listed = []
+    for resolved, path in paths.items():
+        is_first = first_piece[resolved] == resolved
+        if is_first or first_piece[resolved] not in paths:
+            listed.append(path)
+    return listed
 
 
 def is_single(named: Sequence[Path | str]) -> bool:
@@ -69,27 +74,31 @@ def _resolve(path: Path) -> Sequence[Path]:
 
 
 def _is_pattern(path: Path) -> bool:
+    """Whether a path has wildcards, and is not the name of a file that has such characters."""
     return glob.has_magic(str(path)) and not path.exists()
 
 
 def _is_collection(path: Path) -> bool:
+    """Whether a path is a folder that is not itself a session."""
     return path.is_dir() and not _is_session(inner.name for inner in path.iterdir())
 
 
 def _is_session(names: Iterable[str]) -> bool:
+    """Whether a folder with files of these names is a session."""
     return any(name == METADATA or name.endswith(".mcap") for name in names)
 
 
 def _within(folder: Path) -> list[Path]:
+    """The sessions and recordings in a folder and below, without hidden ones."""
     sessions = []
-    for place, folders, files in os.walk(folder):
+    for path, folders, files in os.walk(folder):
         if _is_session(files):
-            sessions.append(Path(place))
-            folders.clear()
+            sessions.append(Path(path))
+            folders.clear()  # so that the walk does not descend
             continue
         folders[:] = [name for name in folders if not name.startswith(".")]
         sessions += [
-            Path(place, name)
+            Path(path, name)
             for name in files
             if not name.startswith(".") and Path(name).suffix.lower() in RECORDINGS
         ]
@@ -164,8 +173,8 @@ class Store:
 
     def file_of(self, session: Path) -> Path:
         """File of this session's result; sessions of the same name in two folders have separate files."""
-        place = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
-        return self.folder / f"{session.resolve().stem or 'session'}-{place}.json"
+        hash_of_path = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
+        return self.folder / f"{session.resolve().stem or 'session'}-{hash_of_path}.json"
 
     def find(self, session: Path, key: str) -> dict[str, Any] | None:
         """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""

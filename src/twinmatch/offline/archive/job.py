@@ -116,14 +116,14 @@ def _record(job: Job) -> dict[str, Any]:
     judgement = judge_samples(
         session.name, session.samples, settings, initial_candidates=terms.given, notes=session.notes
     )
-    entry = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
-    return entry | {"candidates": _rows(judgement, entry)}
+    document = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+    return document | {"candidates": _rows(judgement, document)}
 
 
-_OF_ORDER = ("aic_difference", "weight")
+_CRITERIA = ("aic_difference", "weight")
 
 
-def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
+def _rows(judgement: Judgement, document: dict[str, Any]) -> list[dict[str, Any]]:
     """The candidates of the last verdict, each with the fit of its twin over the session."""
     if not judgement.verdicts:
         return []
@@ -134,14 +134,14 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     longest = max(judgement.stretches, key=len)
     rows = []
     for candidate, recorded_candidate in zip(
-        judgement.verdicts[-1].family, entry["verdicts"][-1]["candidates"], strict=False
+        judgement.verdicts[-1].family, document["verdicts"][-1]["candidates"], strict=False
     ):
         chosen = next((o for o in recorded_candidate["orders"] if o["order"] == candidate.chosen_order), None)
         fits = window_fits(candidate.parameters, longest, law)
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in recorded_candidate.items() if key != "orders"}
-            | {"criteria": chosen and chosen["total"] | {key: chosen[key] for key in _OF_ORDER}}
+            | {"criteria": chosen and chosen["total"] | {key: chosen[key] for key in _CRITERIA}}
             | {"fit": finite(fits.shown)}
         )
     return rows
@@ -199,6 +199,11 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
 
 
 def _connect(address: str) -> Client:
+    """A client of the scheduler at this address.
+
+    Raises:
+        ClusterError: it cannot be reached, or the library is not installed.
+    """
     try:
         from distributed import Client  # noqa: PLC0415 — rarely needed
         from distributed.comm import get_address_host_port  # noqa: PLC0415
@@ -210,11 +215,16 @@ def _connect(address: str) -> Client:
         get_address_host_port(address)  # with an invalid address the client would block for 20 s
         return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        msg = f"scheduler {address}: cannot be reached ({_line(error)}); give it as tcp://HOST:PORT"
+        msg = f"scheduler {address}: cannot be reached ({_first_line(error)}); give it as tcp://HOST:PORT"
         raise ClusterError(msg) from error
 
 
 def _check_workers(client: Client, address: str, paths: list[Path]) -> None:
+    """Check that there are workers, with the same software, that can read sessions.
+
+    Raises:
+        ClusterError: there is no worker, or one of them cannot judge.
+    """
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
     except TimeoutError as error:
@@ -260,6 +270,11 @@ def judge_packed(packed: bytes) -> tuple[Any, ...]:
 
 
 def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[JobResult]:
+    """The outcomes of submitted jobs as they complete.
+
+    Raises:
+        ClusterError: the scheduler was lost.
+    """
     from distributed import as_completed  # noqa: PLC0415
 
     for count, future in enumerate(as_completed(futures, loop=client.loop)):
@@ -268,13 +283,13 @@ def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Itera
             yield JobResult(*future.result())
         elif future.status == "error":
             error = future.exception()
-            reason = f"{job.path}: the cluster could not judge it ({_line(error)})"
+            reason = f"{job.path}: the cluster could not judge it ({_first_line(error)})"
             yield JobResult(job.number, None, reason)
         else:
             msg = f"scheduler {address}: connection lost after {count} of {len(futures)} sessions"
             raise ClusterError(msg)
 
 
-def _line(error: BaseException) -> str:
+def _first_line(error: BaseException) -> str:
     """The first line of an error's message, or its type."""
     return next(iter(str(error).splitlines()), "") or type(error).__name__

@@ -1,4 +1,4 @@
-"""Runs a session through the twin, asks everybody at its origins, and scores all forecasts."""
+"""Runs a session through the twin, has all forecasters forecast at its origins, and scores the forecasts."""
 
 from __future__ import annotations
 
@@ -203,13 +203,13 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
     outputs = _around(forecast.outputs, past.outputs[SKIPPED:] - twin.outputs, forecast.confidence)
     if law is None:
         return replace(forecast, outputs=outputs)
-    entries = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
+    unlimited = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
     drives = parameters.model.plant.drives.values()
     inputs = []
-    for entry, drive in zip(entries, drives, strict=True):
-        low = np.clip(entry.low, *drive.limits)
-        high = np.clip(entry.high, *drive.limits)
-        inputs.append(Band(entry.mean, low, high))
+    for band, drive in zip(unlimited, drives, strict=True):
+        low = np.clip(band.low, *drive.limits)
+        high = np.clip(band.high, *drive.limits)
+        inputs.append(Band(band.mean, low, high))
     return replace(forecast, outputs=outputs, inputs=tuple(inputs))
 
 
@@ -233,7 +233,7 @@ class _Outlooks(NamedTuple):
 
 
 class _Common(NamedTuple):
-    """What all origins have in common."""
+    """What the forecasts of all origins of a session are graded with."""
 
     session: str
     settings: TwinSettings
@@ -270,7 +270,8 @@ class Listener:
         self._every = SPARSER * scored.every if choices.every is None else choices.every
         self._samples = samples
         self._settings = settings
-        self._taught = bool(settings.plant.typical)
+        self._knows_twin = bool(settings.plant.typical)
+        """Whether there is a twin by which readings are judged: a typical one, or the first nominal one."""
         self._lay_out()
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
@@ -279,8 +280,8 @@ class Listener:
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
-        if not self._taught and any(verdict.chosen for verdict in outcome.verdicts):
-            self._taught = True
+        if not self._knows_twin and any(verdict.chosen for verdict in outcome.verdicts):
+            self._knows_twin = True
             self._lay_out(outcome.verdicts)
         if not (outcome.verdicts or sample.index in self.wanted):
             return
@@ -303,6 +304,7 @@ class Listener:
 
 
 def _outlooks(twin: Twin) -> _Outlooks:
+    """The outlooks of a twin's candidates at its newest sample."""
     forecaster = twin.discriminator.forecaster
     nominal = twin.discriminator.nominal
     names = forecaster.names
@@ -312,13 +314,13 @@ def _outlooks(twin: Twin) -> _Outlooks:
         NOMINAL: nominal.name if nominal else None,
         NEWEST: next((name for name in names if name not in structures), None),
     }
-    parts = {part: name for part, name in candidate_of.items() if name in names}
-    return _Outlooks({name: forecaster.outlook(name) for name in names}, parts, forecaster.arx)
+    present = {role: name for role, name in candidate_of.items() if name in names}
+    return _Outlooks({name: forecaster.outlook(name) for name in names}, present, forecaster.arx)
 
 
-def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
+def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     """Make and score the forecasts of all available forecasters at one origin."""
-    session, settings, horizons, names = terms
+    session, settings, horizons, names = shared
 
     with one_thread():
         rows = origin.disturbances

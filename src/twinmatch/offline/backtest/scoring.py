@@ -125,18 +125,18 @@ def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: ty
             raise BacktestError(msg)
     confidence = forecast.confidence
     is_received = came.seen
-    outputs = _signal(
+    outputs = _marks_of_signal(
         forecast.output, came.output, plant.output.noise, confidence, counts, is_received=is_received
     )
     if not forecast.closed:
         return [Marks(output, None) for output in outputs]
-    inputs = _signal(
+    inputs = _marks_of_signal(
         forecast.input, came.input, plant.drive.noise, confidence, counts, is_received=is_received
     )
     return list(map(Marks, outputs, inputs))
 
 
-def _signal(
+def _marks_of_signal(
     band: Band,
     came: FloatArray,
     noise: float,
@@ -145,6 +145,10 @@ def _signal(
     *,
     is_received: BoolArray | None,
 ) -> list[SignalMarks]:
+    """The marks of one signal up to each horizon, without samples that were not received.
+
+    `counts` are the horizons in samples; `came` are the actual values, in the unit of `noise`.
+    """
     longest = max(counts, default=0)
     x = came[:longest] / noise
     low = band.low[:longest] / noise
@@ -227,12 +231,12 @@ def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
 
 
 def common(marked: Sequence[Marked]) -> list[Marked]:
-    """Only the forecasts that every forecaster made, so that all are compared on the same samples."""
-    names = {mark.who for mark in marked}
-    asked: dict[tuple[str, int, float], set[str]] = {}
+    """Only the forecasts at places where every forecaster made one, so that all are compared alike."""
+    all_forecasters = {mark.who for mark in marked}
+    forecasters_at: dict[tuple[str, int, float], set[str]] = {}
     for mark in marked:
-        asked.setdefault(mark.place, set()).add(mark.who)
-    return [mark for mark in marked if asked[mark.place] == names]
+        forecasters_at.setdefault(mark.place, set()).add(mark.who)
+    return [mark for mark in marked if forecasters_at[mark.place] == all_forecasters]
 
 
 def cards(marked: Sequence[Marked]) -> list[Card]:
@@ -300,8 +304,8 @@ def _figures(name: str, signals: Sequence[Sequence[SignalMarks]]) -> FloatArray:
 
 def _pair(figures: FloatArray) -> tuple[float, float]:
     """Figures of output and input; NaN for a given input."""
-    output, entry = [*figures.tolist(), float("nan")][:2]
-    return output, entry
+    of_output, of_input = [*figures.tolist(), float("nan")][:2]
+    return of_output, of_input
 
 
 LEADER: Final = "leader"

@@ -182,6 +182,7 @@ def backtest_each(
 
 
 def _before(window: Window, split: int) -> Window:
+    """The part of a window before the sample `split`."""
     return window.part(window.first, min(window.last, split - 1))
 
 
@@ -201,11 +202,13 @@ def _fitted(plant: type[Plant], past: list[Window]) -> list[Candidate]:
 def _forecasts(
     forecaster: Forecaster, arx: ArxForecast, origin: Origin, peers: tuple[str, ...]
 ) -> dict[str, Forecast]:
-    """Those of all structures, of the leader under that name, and of the peers, with coefficients as they
-    were at the first origin."""
+    """Forecasts of all structures, of the leader under that name, and of the peers.
+
+    `arx` is the model at the first origin: its coefficients stay, its past becomes that of this origin.
+    """
     past = origin.past
-    rows = np.hstack([past.outputs, past.inputs, past.disturbances])[: -len(arx.past) - 1 : -1]
-    asked = ask(arx._replace(past=np.ascontiguousarray(rows)), origin)
+    newest_first = np.hstack([past.outputs, past.inputs, past.disturbances])[: -len(arx.past) - 1 : -1]
+    asked = ask(arx._replace(past=np.ascontiguousarray(newest_first)), origin)
     with one_thread():
         of_structures = {
             name: forecaster.outlook(name).forecast(origin.ahead, origin.disturbances)
