@@ -60,7 +60,7 @@ _ROBUST: Final = _RobustFit()
 
 
 @dataclass(frozen=True, slots=True)
-class _Reporting:
+class _Mentioning:
     """From which evidence on, in nats beyond what it costs to say it, a change is reported. Few plants change
     evenly, so that a trend has to lead. Moments of a step that are two nats behind the best are seven times
     less likely, and not worth considering."""
@@ -75,7 +75,7 @@ class _Reporting:
     """Evidence above which more makes no difference: its exponential has to be finite."""
 
 
-_REPORTING: Final = _Reporting()
+_REPORTING: Final = _Mentioning()
 
 
 class ParameterHistory(NamedTuple):
