@@ -20,7 +20,7 @@ _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 
 
 @dataclass(frozen=True)
-class _EffectRule:
+class _TraceRule:
     """Which movements of the drive are compared with the readings."""
 
     least: float = 15.0
@@ -41,7 +41,7 @@ class _EffectRule:
     """Unexplained movement in the same direction just before that makes a step part of a movement."""
 
 
-_EFFECT: Final = _EffectRule()
+_EFFECT: Final = _TraceRule()
 
 
 FOLLOWS: Final = (0.6, 2.5)
