@@ -20,10 +20,10 @@ def used():
     kernels = [kernel for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)]
     return {kernel.py_func.__qualname__: kernel.signatures for kernel in kernels if kernel.signatures}
 
-prepare._derive([PLANTS["peltier"]])
-prepare._compare_models()
-prepare._judge_a_loop()
-prepare._judge_channels()
+prepare.derive_plants([PLANTS["peltier"]])
+prepare.compare_models()
+prepare.judge_a_loop()
+prepare.judge_channels()
 prepared = used()
 assert main(["replay", sys.argv[1]]) == 0
 replayed = used()

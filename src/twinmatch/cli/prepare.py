@@ -26,14 +26,14 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: there is no such plant, or its equations cannot be used.
     """
     if options.plant:
-        _derive([find_plant(options.plant)])
+        derive_plants([find_plant(options.plant)])
         return 0
     # A compiler uses one core, so two processes compile. The engine uses what the others compile.
-    models = _beside(_compare_models)
-    _derive(PLANTS.values())
+    models = _beside(compare_models)
+    derive_plants(PLANTS.values())
     models.join()
-    channels = _beside(_judge_channels)
-    _judge_a_loop()
+    channels = _beside(judge_channels)
+    judge_a_loop()
     channels.join()
     return models.exitcode or channels.exitcode or 0
 
@@ -45,13 +45,14 @@ def _beside(use: Callable[[], None]) -> BaseProcess:
     return process
 
 
-def _derive(plants: Iterable[type[Plant]]) -> None:
+def derive_plants(plants: Iterable[type[Plant]]) -> None:
+    """Derive and compile the equations of these plants, and say how many structures each has."""
     for plant in plants:
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
 
 
-def _compare_models() -> None:
+def compare_models() -> None:
     """Use the kernels that identify and compare models once, which compiles them."""
     import numpy as np  # noqa: PLC0415
 
@@ -67,7 +68,7 @@ def _compare_models() -> None:
     nu_gap_matrix([model.symbol for model in models])
 
 
-def _judge_a_loop() -> None:
+def judge_a_loop() -> None:
     """Have the engine judge a simulated quarter of an hour: matches, trust, health and confidence."""
     import numpy as np  # noqa: PLC0415
 
@@ -86,7 +87,7 @@ def _judge_a_loop() -> None:
     judge_samples("simulated", samples_of(Window(reference, loop.output, loop.input)), settings)
 
 
-def _judge_channels() -> None:
+def judge_channels() -> None:
     """Watch a simulated plant with two inputs and outputs, for a minute."""
     import numpy as np  # noqa: PLC0415
 

@@ -36,7 +36,7 @@ REFUSED: Final = "refused"
 _SHOWN: Final = 2.5
 """Standard errors from which something is more than chance: 0.6 % in one look, less than 5 % in an hour of
 them (`python -m benchmarks.trust`)."""
-_ONE_SIDED: Final = 1.6448536269514722
+ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""
 _TINY: Final = 1e-12
 _TENTH: Final = 1.1
@@ -215,7 +215,7 @@ class ForecastScore:
             return math.nan, math.nan
         worse = math.log(1.0 - skill[k])
         least = math.log(1.0 - high[k])
-        return 1.0 - skill[k], _ONE_SIDED * (worse - math.log(times)) / max(worse - least, _TINY)
+        return 1.0 - skill[k], ONE_SIDED * (worse - math.log(times)) / max(worse - least, _TINY)
 
 
 @dataclass(frozen=True)

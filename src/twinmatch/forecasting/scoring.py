@@ -37,6 +37,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.comparing import BASELINES
+from twinmatch.comparing.verdict import ONE_SIDED
 from twinmatch.forecasting.forecast import CONFIDENCE
 from twinmatch.signals import FloatArray
 
@@ -228,8 +229,6 @@ class Calibration:
 
 
 _LN10: Final = float(np.log(10.0))
-_ONE_SIDED: Final = 1.6448536269514722
-"""Quantile of the normal distribution at 95 %."""
 _LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
 """Columns of an account at a horizon.
 
@@ -381,7 +380,7 @@ class Ledger:
         errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
         has_enough = account[:, _WEIGHT] >= _ACCOUNTS.compared
         skill = 1.0 - np.exp(ratios)
-        high = 1.0 - np.exp(ratios - _ONE_SIDED * errors)
+        high = 1.0 - np.exp(ratios - ONE_SIDED * errors)
         return np.where(has_enough, skill, np.nan), np.where(has_enough, high, np.nan)
 
     def forecasts(self, name: str) -> float:

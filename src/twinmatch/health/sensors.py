@@ -6,9 +6,8 @@ import math
 from typing import Final
 
 from twinmatch.dynamics.bank import JUNK
+from twinmatch.health.roughness import Roughness
 
-_SECOND: Final = 1.954
-"""Mean size of the second difference of white noise, in its standard deviation."""
 _STANDS: Final = math.log(1.0 - 1e-4)
 """Log-probability with which a frozen sensor repeats its reading."""
 _MOVES: Final = 20
@@ -27,7 +26,7 @@ class LearnedSensor:
         """Standard deviation of a reading."""
         self.step = 0.1 * noise
         """Value of its last digit."""
-        self._rough = noise * _SECOND  # mean size of second differences
+        self._roughness = Roughness(noise)
         self._walk = 2.0 * noise  # how far readings usually move in a sample
         self._smallest = math.inf  # movement so far
         self._moves = 0  # movements so far
@@ -108,9 +107,8 @@ class LearnedSensor:
             if self._moves >= _MOVES:
                 self.step = min(self._smallest, 30.0 * self._usual)
         if not math.isnan(earlier):
-            rough = min(abs(value - 2.0 * before + earlier), 3.0 * self._rough)
-            self._rough += (rough - self._rough) / 100.0
-        self.noise = min(max(self._rough / _SECOND, 0.3 * self._usual), 1.5 * self._usual)
+            self._roughness.take(abs(value - 2.0 * before + earlier))
+        self.noise = self._roughness.noise
 
 
 def _between(deviation: float, digit: float, spread: float) -> float:

@@ -20,7 +20,7 @@ _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 
 
 @dataclass(frozen=True)
-class _TraceRule:
+class _ComparedMovements:
     """Which movements of the drive are compared with the readings."""
 
     least: float = 15.0
@@ -41,7 +41,7 @@ class _TraceRule:
     """Unexplained movement in the same direction just before that makes a step part of a movement."""
 
 
-_EFFECT: Final = _TraceRule()
+_COMPARED: Final = _ComparedMovements()
 
 
 FOLLOWS: Final = (0.6, 2.5)
@@ -136,13 +136,13 @@ class Effect(DriveEffect):
     def push(self, movement: Movement, roughness: float, *, earned: bool) -> None:
         """Take the movement of one period, the roughness (per second) of the balance that it comes from, and
         whether that balance has predicted the plant."""
-        least = max(_EFFECT.rate * self._noise, _EFFECT.roughness * roughness) * self._period
+        least = max(_COMPARED.rate * self._noise, _COMPARED.roughness * roughness) * self._period
         unexplained = movement.unexplained
         if self._accused is not None:
-            usual = max(roughness, _EFFECT.rough_rate * self._noise) * self._period
+            usual = max(roughness, _COMPARED.rough_rate * self._noise) * self._period
             self._weigh(movement, usual, self._accused)
-        continues = abs(self._last) > _EFFECT.like * self._noise and unexplained * self._last > 0
-        isolated = abs(unexplained) > _EFFECT.step * self._noise and not continues
+        continues = abs(self._last) > _COMPARED.like * self._noise and unexplained * self._last > 0
+        isolated = abs(unexplained) > _COMPARED.step * self._noise and not continues
         self._last = unexplained
         drive, unexplained_sum = self._sums[-1]
         self._sums.append((drive + movement.drive, unexplained_sum + (0.0 if isolated else unexplained)))
@@ -154,7 +154,7 @@ class Effect(DriveEffect):
                 break
             before = self._sums[moves - length]
             expected = newest[0] - before[0]
-            if abs(expected) < _EFFECT.least * self._noise + least * length:
+            if abs(expected) < _COMPARED.least * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - before[1]) / expected
             counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
@@ -166,11 +166,13 @@ class Effect(DriveEffect):
     def _weigh(self, movement: Movement, usual: float, share: float) -> None:
         """Weigh a movement, whose usual error is `usual` and lasts for several samples, against a share."""
         drive = movement.drive
-        usual = math.hypot(usual, _EFFECT.error_share * movement.drive)
+        usual = math.hypot(usual, _COMPARED.error_share * movement.drive)
         most = 1.5 * abs(drive) + 3.0 * usual
         unexplained = min(max(movement.unexplained, -most), most)
         missing = unexplained + (1.0 - share) * drive
-        ratio = 0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _EFFECT.errors_last, 1.0)
+        ratio = (
+            0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _COMPARED.errors_last, 1.0)
+        )
         self.returned = max(self.returned + ratio, 0.0)
 
 

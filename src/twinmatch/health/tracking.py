@@ -14,6 +14,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
+from twinmatch.health.roughness import Roughness
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
@@ -47,8 +48,6 @@ _BLOCK: Final = 10.0
 """Length of a block, s."""
 REACH: Final = 48
 """Blocks after which a change can no longer be detected."""
-_SECOND: Final = 1.954
-"""Mean size of the second difference of white noise, in its standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,6 @@ class TrackedBlocks:
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters; `period` is the sample time, s."""
-        self._noise = parameters.model.plant.output.noise
         self.size = max(4, round(_BLOCK * slow_scale(parameters.model.plant, period) / period))
         """Samples of a block."""
         self.tracker = Tracker(parameters, period, LEVELS)
@@ -87,7 +85,7 @@ class TrackedBlocks:
         """Whether the equations explain too little of the plant to detect a change."""
         self.moved_level = False
         """Whether the last block changed the level."""
-        self._rough = self._noise * _SECOND  # mean size of second differences of readings
+        self._roughness = Roughness(parameters.model.plant.output.noise)
         self._costs = np.zeros(len(LEVELS))  # mean code length of a block at each level
         self._counted = 0  # blocks that these are means of
         self._behind = [0.0] * len(LEVELS)  # nats by which each level is behind the next
@@ -146,8 +144,8 @@ class TrackedBlocks:
         u = np.array([s.input for s in self._samples])
         model = self.tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
-        noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
-        return Readings(y, u, rows.reshape(u.size, -1), np.where(is_read, noise, math.inf))
+        noise = np.where(is_read, self._roughness.noise, math.inf)
+        return Readings(y, u, rows.reshape(u.size, -1), noise)
 
     def _learn_roughness(self, y: FloatArray, is_read: BoolArray) -> None:
         """Average the sizes of the second differences of readings that count; two readings precede them."""
@@ -155,7 +153,7 @@ class TrackedBlocks:
         read[2:][~is_read] = math.nan
         for size in np.abs(read[2:] - 2 * read[1:-1] + read[:-2]).tolist():
             if not math.isnan(size):
-                self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
+                self._roughness.take(size)
 
     def take(self, stretch: Readings, traces: Traces, *, settled: bool) -> None:
         """Track a block; the level is kept if `settled`."""

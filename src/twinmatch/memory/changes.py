@@ -60,7 +60,7 @@ _ROBUST: Final = _RobustFit()
 
 
 @dataclass(frozen=True, slots=True)
-class _Mentioning:
+class _NamedFrom:
     """From which evidence on, in nats beyond what it costs to say it, a change is reported. Few plants change
     evenly, so that a trend has to lead. Moments of a step that are two nats behind the best are seven times
     less likely, and not worth considering."""
@@ -75,7 +75,7 @@ class _Mentioning:
     """Evidence above which more makes no difference: its exponential has to be finite."""
 
 
-_REPORTING: Final = _Mentioning()
+_NAMED_FROM: Final = _NamedFrom()
 
 
 class ParameterHistory(NamedTuple):
@@ -392,7 +392,7 @@ def _changes(history: ParameterHistory, sessions: _SessionTimes, among: int) -> 
         return []
     hypotheses = _Hypotheses.of(history, sessions)
     evidence = hypotheses.evidence_for_any() - math.log(among)
-    if evidence < _REPORTING.least:
+    if evidence < _NAMED_FROM.least:
         return []
     if hypotheses.is_trend:
         trend = _change(history, sessions, hypotheses, -1, evidence)
@@ -435,19 +435,19 @@ class _Hypotheses(NamedTuple):
         """Evidence for all changes together: half of their probability is that of steps, half of a trend."""
         n_trends = self.evidence.size - self.n_steps
         kinds = np.array([0.5 / self.n_steps] * self.n_steps + [0.5] * n_trends)
-        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _REPORTING.most))))
+        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _NAMED_FROM.most))))
 
     @property
     def is_trend(self) -> bool:
         """Whether a trend is clearly more credible than every step."""
         if self.evidence.size == self.n_steps:
             return False
-        return not self.of_steps.max() >= self.evidence[-1] - _REPORTING.trend
+        return not self.of_steps.max() >= self.evidence[-1] - _NAMED_FROM.trend
 
     @property
     def latest_step(self) -> int:
         """Number of the latest credible step: from it on the change is complete."""
-        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _REPORTING.moments)[-1])
+        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _NAMED_FROM.moments)[-1])
 
 
 def _change(
