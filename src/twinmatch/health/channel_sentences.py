@@ -43,8 +43,8 @@ class ChannelSentences:
         """Name of the first of the outputs whose readings have jumped at once, and a sentence."""
         names = [output.text or name for name, output in (self._outputs[i] for i in outputs)]
         reason = (
-            f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of them "
-            "is right: look at what the sensors share, such as their supply; none is read through"
+            f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of "
+            "them is right: look at what the sensors share, such as their supply; none is read through"
         )
         return self._outputs[outputs[0]][0], reason
 

@@ -284,7 +284,9 @@ class ChannelMonitor:
     def _counts(self, suspect: Suspect) -> bool:
         """Whether a suspect competes: a push does once it has passed, as it explains anything while it
         lasts."""
-        return suspect.cause[0] is not Fault.DISTURBANCE or self.competition.remains(suspect) < _ENDING.faded
+        if suspect.cause[0] is not Fault.DISTURBANCE:
+            return True
+        return self._is_material(suspect) and self.competition.remains(suspect) < _ENDING.faded
 
     def _judge(self, suspects: list[Suspect]) -> None:
         """End the alarm that is over; raise one for a cause that has led for long enough, or for none that
@@ -306,6 +308,8 @@ class ChannelMonitor:
             suspects = named  # the unknown, which may act as anything does, counts only far ahead
         best = suspects[0]
         rivals = [suspect.evidence for suspect in suspects[1:] if self._exclude_each_other(suspect, best)]
+        if not competition.may_accuse(best):
+            return
         leads = best.evidence - max([0.0, *rivals]) >= LEAD
         self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
         if self._leads[1] < _NAMING.holds:

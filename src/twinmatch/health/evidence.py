@@ -14,7 +14,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
-from twinmatch.health.faults import Fault
+from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import ChangeRow, PlacedFault, rows_of
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
@@ -272,6 +272,17 @@ class Competition:
             self.through[output] = estimator
             for rehearsal in self._rehearsals:  # those of the others take its readings
                 rehearsal.drop()
+
+    def may_accuse(self, suspect: Suspect) -> bool:
+        """Whether the equations forecast well what they would be believed in: the output that a cause
+        concerns, or all of them. No plant moves as a reading does that jumps."""
+        fault, place = suspect.cause
+        if fault is Fault.SENSOR_DRIFT and not suspect.row.slowly:
+            return True
+        variance = np.array([sensor.variance for sensor in self.sensors])
+        knows = self.healthy.skill.knows(variance)
+        concerns_one_output = TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
+        return bool(knows[place] if concerns_one_output else knows.all())
 
     @property
     def rough(self) -> bool:

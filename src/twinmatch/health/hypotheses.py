@@ -123,4 +123,4 @@ def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
     yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, wanders=0.1)
     yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, slowly=300.0, price=CREEPS)
     for spread in (3.0 * noise, 12.0 * noise):
-        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", spread=spread, least=0.5 * noise, lasting=30.0)
+        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", spread=spread, least=noise, lasting=30.0)
