@@ -66,6 +66,13 @@ class ChannelSentences:
         elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
             size = best.shift
             text = f"{signed(best.shift)} {unit}".rstrip()
+        if best.cause[1] == EVERY:
+            left = "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
+            return (
+                name,
+                size,
+                f"{self._all_drives} have {left}: look at what they share, such as their supply",
+            )
         around = self._model.plant.surroundings
         reason = TRAITS[fault].sentence.format(
             name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)

@@ -405,6 +405,7 @@ class ChannelMonitor:
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
                 self._raise(fault, best, suspects)
+                self.competition.sensors[signal].is_accused = True
                 self._read_through(signal, best.born)
             return
         if fault is Fault.DRIFT:

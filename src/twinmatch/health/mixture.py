@@ -105,7 +105,7 @@ def _no_members(healthy: int, numbers: int, outputs: int) -> BankMembers:
     )
 
 
-class _Scored(NamedTuple):
+class ScoredForecast(NamedTuple):
     """One forecast beside its readings; errors are of each output."""
 
     at: int
@@ -142,7 +142,7 @@ class ForecastSkill:
         self._standing = np.zeros(outputs)
         self._count = 0.0
 
-    def take(self, scored: _Scored) -> None:
+    def take(self, scored: ScoredForecast) -> None:
         """Take a forecast."""
         if scored.ahead < self._AHEAD:
             return
@@ -193,7 +193,7 @@ class HealthyMixture:
         """The most probable of the levels."""
         self._dispersion = np.ones(len(AHEAD))
         self._weights = np.full(len(AHEAD), _RECORD.prior)
-        self._waiting: deque[_Scored] = deque()
+        self._waiting: deque[ScoredForecast] = deque()
         self.skill = ForecastSkill(len(model.noise))
         self._values_begun = np.zeros((_RECORD.count, len(model.noise)))
         self.doubts = np.ones(1)
@@ -364,7 +364,7 @@ class HealthyMixture:
                 in_variances = np.minimum(squares / (members.variance[b] + variance), _RECORD.most)
                 standing = (values - self._values_begun[k]) ** 2
                 ahead = self._ahead.index(age)
-                scored = _Scored(self.known, ahead, float(in_variances.mean()), squares, standing)
+                scored = ScoredForecast(self.known, ahead, float(in_variances.mean()), squares, standing)
                 self._waiting.append(scored)
             if not alive or age >= self._ahead[-1]:
                 members.alive[b] = False

@@ -16,6 +16,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
+from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import Sample, Signals, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.door import Door
@@ -365,12 +366,15 @@ class Discriminator:
     def _taken_by_law(self, sample: Sample) -> Signals | None:
         """The outputs that the law took where sensors are read through; None: those of the sample.
 
-        In place of a reading that is not believed it takes what was estimated at the sample before.
+        In place of a reading that has not been believed for a while it takes what was estimated at the sample
+        before.
         """
+        before_last = LASTING / self.settings.period
         estimates = {
             estimate.signal: estimate.value
             for estimate in self.monitor.estimates
             if estimate.signal in self.settings.read_through
+            and estimate.sample - estimate.since >= before_last
         }
         if not estimates:
             return None
