@@ -124,6 +124,7 @@ class Discriminator:
     def _begin_door(self) -> None:
         """Settle samples without knowing any before."""
         self._door = Door.of(self.settings)
+        self._steps_recurred = False
         self._entered.clear()
 
     def _begin_health(self) -> None:
@@ -354,7 +355,7 @@ class Discriminator:
         if sample.usable:
             self.forecaster.push(sample, taken)
         if news is not None:
-            reason = f"{news.fault.value} is over: the plant responds normally again"
+            reason = news.withdrawn or f"{news.fault.value} is over: the plant responds normally again"
             match = MatchResult(reason=news.reason if has_begun else reason)
             window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
             with one_thread():
@@ -396,11 +397,18 @@ class Discriminator:
         nominal = self.nominal
         if nominal is not None and self.monitor.fault_between(*nominal.samples, slow=True) is not None:
             nominal = None  # it describes a plant at fault
+        self._withdraw_recurring_steps()
         health = self.monitor.push(sample, nominal.parameters if nominal else None)
         if health.state is HealthState.FAULT:
             self._fault_before = None
         self._health = health if self._fault_before is None else replace(self._fault_before, news=health.news)
         self._watched = sample.index
+
+    def _withdraw_recurring_steps(self) -> None:
+        """Take back a fault of impossible readings once the door takes such steps for the plant's."""
+        if self._door.steps_recur and not self._steps_recurred and isinstance(self.monitor, Monitor):
+            self._steps_recurred = True
+            self.monitor.withdraw()
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
