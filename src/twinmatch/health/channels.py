@@ -268,12 +268,13 @@ class ChannelMonitor:
         return by_alarm or any(named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing)
 
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
-        """The suspect; a weak drive of which nearly nothing is left becomes a lost one."""
+        """The suspect; a drive is lost if nearly nothing is left of its effect, and weak if more is,
+        whatever it was followed as."""
         fault, drive = suspect.cause
-        if fault is not Fault.DRIVE_WEAK:
+        if fault not in {Fault.DRIVE_WEAK, Fault.DRIVE_LOST}:
             return suspect
-        lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
-        return replace(suspect, cause=(Fault.DRIVE_LOST, drive)) if lost else suspect
+        is_lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
+        return replace(suspect, cause=(Fault.DRIVE_LOST if is_lost else Fault.DRIVE_WEAK, drive))
 
     def shows(self, suspect: Suspect) -> bool:
         """Whether it can be seen yet: a sensor that repeats its reading is frozen once the plant should have
