@@ -50,6 +50,9 @@ class _Naming:
     they have changed, s."""
     sized: float = 30.0
     """Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
+    more: float = 2.0 * CHANGE
+    """Evidence from which a drive is said to do more than before, nats: what equations lack of the exchange
+    between two loops looks like that."""
     certain: float = 2.0
     """Standard deviations of its size by which an unnamed change differs from none."""
     confirm: int = 3
@@ -343,6 +346,8 @@ class ChannelMonitor:
         """
         age = (self.competition.count - best.born) / self.competition.second
         if best.cause[0] is Fault.DRIVE_WEAK and age < _NAMING.sized:
+            return False
+        if best.cause[0] is Fault.DRIVE_WEAK and best.shift > 0.0 and best.evidence < _NAMING.more:
             return False
         undone = next((named for named in self._standing if self._undoes(best, named)), None)
         if undone is not None:
