@@ -5,7 +5,7 @@
 
 The kit is the model of the package `tclab`, whose equations differ from those of our plant file: linear, with
 other lags, and readings in steps of 0.32 °C. Each run takes 40 minutes of its time. A mishap begins after 25
-minutes; it is told if its name, with its channel, is the first that is given, and every other name is false.
+minutes; it counts if its name, with its channel, is the first that is given, and every other name is false.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ def linear_law() -> LinearLaw:
     kit = linearised(typical(), [42.0, 40.0], 1.0)
     states = len(kit.A)
     gains = kit.C @ np.linalg.solve(np.eye(states) - kit.A, kit.B)
-    apart = np.linalg.inv(gains)
+    apart = np.array(np.linalg.inv(gains), dtype=np.float64)
     proportional = 3.0 * apart
     integral = 0.02 * apart
-    untie = 0.05 * np.linalg.inv(integral)
+    untie = np.array(0.05 * np.linalg.inv(integral), dtype=np.float64)
     unit = np.eye(2)
     # x ← x + (r − y) + untie (u − the unlimited u), u = integral x + proportional (r − y)
     return LinearLaw(

@@ -469,7 +469,7 @@ def resonator(size: int, lost: frozenset[int]) -> list[Sample]:
     ]
 
 
-def test_behind_lost_readings_arx_goes_on_from_its_own_expectation_and_persistence_from_what_was_read() -> (
+def test_behind_lost_readings_arx_continues_from_its_own_expectation_and_persistence_from_what_was_read() -> (
     None
 ):
     """Without that, what stands in for a reading is a blow to a model of differences."""

@@ -239,7 +239,7 @@ def disturbed(until: int) -> ChannelMonitor:
     return watched(recorded("tclab_2x2", "disturbances_a"), until)
 
 
-def test_readings_that_jump_at_once_are_told_and_read_through_by_none() -> None:
+def test_readings_that_jump_at_once_are_reported_and_read_through_by_none() -> None:
     """From sample 1500 on both sensors of a real kit read 5 °C too little, for five minutes."""
     samples = recorded("tclab_2x2", "disturbances_a")
     monitor = watched(samples, 1500)

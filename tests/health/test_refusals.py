@@ -53,7 +53,7 @@ def stiffening(size: int) -> list[Sample]:
     return samples
 
 
-def test_steps_that_recur_and_go_on_are_the_plants() -> None:
+def test_steps_that_recur_and_continue_are_the_plants() -> None:
     refusals = Refusals(HealthSettings.of(Spring, PERIOD), longest=10)
     refusals.know(Spring.model().parameters())
     samples = stiffening(3000)

@@ -13,7 +13,7 @@ from twinmatch.health.mixture import ForecastSkill, ScoredForecast
 from twinmatch.health.sensors import LearnedSensor, RunLengths
 
 
-def test_runs_of_a_display_go_on_as_often_as_they_have() -> None:
+def test_runs_of_a_display_continue_as_often_as_they_have() -> None:
     """Repeats are independent: the ratio is that of their probability at any length."""
     random = np.random.default_rng(3)
     runs = RunLengths()
@@ -21,19 +21,19 @@ def test_runs_of_a_display_go_on_as_often_as_they_have() -> None:
         runs.take(int(random.geometric(1.0 - 0.8)) - 1)
     # The standard deviation of a ratio of 0.8 over 300 runs is 0.02.
     for repeats in (0, 1, 2, 5, 9):
-        assert runs.goes_on(repeats) == pytest.approx(0.8, abs=0.08)
+        assert runs.continues(repeats) == pytest.approx(0.8, abs=0.08)
 
 
 @given(st.lists(st.integers(0, 100_000), max_size=30), st.integers(0, 1_000_000))
-def test_whether_a_run_goes_on_is_a_probability_and_unknown_beyond_all_doublings(
+def test_whether_a_run_continues_is_a_probability_and_unknown_beyond_all_doublings(
     ended: list[int], repeats: int
 ) -> None:
     runs = RunLengths()
     for length in ended:
         runs.take(length)
-    assert 0.0 <= runs.goes_on(repeats) < 1.0
+    assert 0.0 <= runs.continues(repeats) < 1.0
     if not ended or repeats >= 2 * (max(ended) + 1):
-        assert runs.goes_on(repeats) == 0.0
+        assert runs.continues(repeats) == 0.0
 
 
 def sensor_that_stands(*runs: int) -> LearnedSensor:
@@ -61,7 +61,7 @@ def test_a_run_of_a_frozen_sensor_is_not_how_it_usually_reads() -> None:
     for value in (50.0, 51.0, 51.0):
         sensor.read(value, True)
         sensor.learn(value, True, math.log(0.5))
-    assert sensor._run_lengths.goes_on(300) == 0.0
+    assert sensor._run_lengths.continues(300) == 0.0
 
 
 def test_only_a_movement_that_stays_is_a_jump() -> None:

@@ -323,7 +323,7 @@ class FaultSentences:
         """Steps that were called impossible, and have come again and again."""
         return (
             f"{Fault.SENSOR_IMPLAUSIBLE.value} is taken back: steps of {self.output} as large as those that "
-            "were refused recur, and its readings go on from there, so the plant makes them"
+            "were refused recur, and its readings continue from there, so the plant makes them"
         )
 
     def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:

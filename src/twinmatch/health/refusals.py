@@ -31,7 +31,7 @@ class _Implausible:
     late: int = 5
     """Samples by which the plant may answer later than the twin."""
     recurs: int = 3
-    """Times that readings have gone on from a refused step, from which on such steps are the plant's:
+    """Times that readings have continued from a refused step, from which on such steps are the plant's:
     a spike comes back, and a sensor that has shifted does so once."""
     like: float = 1.5
     """Times a usual movement up to which a step is like it."""
@@ -79,7 +79,7 @@ class UsualSteps:
             self._largest = sorted([*self._largest[1:], abs(moved)])
 
     def refuse(self, moved: float, samples: int) -> None:
-        """Take a movement from whose refused beginning the readings go on, over so many samples."""
+        """Take a movement from whose refused beginning the readings continue, over so many samples."""
         self._refused += self._is_like_usual(moved, samples)
 
     def include(self, moved: float, samples: int) -> bool:
@@ -149,18 +149,18 @@ class Refusals:
         return all(within) and all(map(math.isfinite, commands))
 
     def _is_refused_step(self, sample: Sample) -> bool:
-        """Whether a reading is refused for where it has moved; counts those from which readings go on."""
+        """Whether a reading is refused for where it has moved; counts those from which readings continue."""
         if not self._leaps(sample):
             return False
         before = self._since[0]
         moved = sample.output - before.output
         samples = sample.index - before.index
         is_second = len(self._since) == 2 and not self._cut
-        if is_second and self._goes_on(sample):
+        if is_second and self._continues(sample):
             self.steps.refuse(moved, samples)
         return not self.steps.include(moved, samples)
 
-    def _goes_on(self, sample: Sample) -> bool:
+    def _continues(self, sample: Sample) -> bool:
         """Whether a reading is on the side of the newest accepted one to which the refused one has moved."""
         before, last = self._since
         return (

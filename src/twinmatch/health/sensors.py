@@ -35,7 +35,7 @@ class RunLengths:
     """How long a sensor usually repeats a reading, from its runs of repeats that have ended.
 
     A display with coarse steps, or a reading that is averaged, stands for longer the better the loop holds
-    it, so how likely a run is to go on depends on how long it already is: a ratio for each doubling of its
+    it, so how likely a run is to continue depends on how long it already is: a ratio for each doubling of its
     length, of the repeats there to the runs that ended there.
     """
 
@@ -45,7 +45,7 @@ class RunLengths:
 
     def __init__(self) -> None:
         """Begin without any run."""
-        self._went_on = np.zeros(self._DOUBLINGS)
+        self._continued = np.zeros(self._DOUBLINGS)
         self._ended = np.zeros(self._DOUBLINGS)
 
     @classmethod
@@ -56,17 +56,17 @@ class RunLengths:
         """Take a run of so many repeats that has ended."""
         last = self._doubling(repeats)
         for doubling in range(last):
-            self._went_on[doubling] += 2**doubling
-        self._went_on[last] += repeats + 1 - 2**last
+            self._continued[doubling] += 2**doubling
+        self._continued[last] += repeats + 1 - 2**last
         self._ended[last] += 1.0
 
-    def goes_on(self, repeats: int) -> float:
-        """Probability that a run of so many repeats goes on; 0 where too few have been that long."""
+    def continues(self, repeats: int) -> float:
+        """Probability that a run of so many repeats continues; 0 where too few have been that long."""
         doubling = self._doubling(repeats)
         if self._ended[doubling:].sum() < self._RUNS:
             return 0.0
-        went_on = float(self._went_on[doubling])
-        return (went_on + 1.0) / (went_on + float(self._ended[doubling]) + 2.0)
+        continued = float(self._continued[doubling])
+        return (continued + 1.0) / (continued + float(self._ended[doubling]) + 2.0)
 
 
 class LearnedSensor:
@@ -144,7 +144,7 @@ class LearnedSensor:
     def learn(self, value: float, counts: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""
         if self.repeated:
-            usually = self._run_lengths.goes_on(self.repeats)
+            usually = self._run_lengths.continues(self.repeats)
             healthy = max(gained, math.log(usually)) if usually > 0.0 else gained
             self.repeats = self.repeats + 1
             self.frozen = self.frozen + _STANDS - healthy
