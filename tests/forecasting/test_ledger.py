@@ -452,3 +452,38 @@ def test_a_twin_whose_states_are_lost_starts_over() -> None:
     assert np.isfinite(state_filter.states).all()
     assert np.isfinite(state_filter.joint).all()
     assert 0.0 < state_filter.states[0] < 0.5
+
+
+def resonator(size: int, lost: frozenset[int]) -> list[Sample]:
+    """A weakly damped mass on a spring under a random force; where a reading is lost, something far off
+    stands in for it."""
+    random = np.random.default_rng(11)
+    forces = np.cumsum(random.standard_normal(size)) * 0.05
+    place = np.zeros(size)
+    for k in range(2, size):
+        place[k] = 1.6 * place[k - 1] - 0.96 * place[k - 2] + 0.3 * forces[k - 1]
+    read = place + 0.001 * random.standard_normal(size)
+    return [
+        Sample(k, k * 10**9, 0.0, 9.0 if k in lost else y, u, seen=k not in lost)
+        for k, (y, u) in enumerate(zip(read.tolist(), forces.tolist(), strict=True))
+    ]
+
+
+def test_behind_lost_readings_arx_continues_from_its_own_expectation_and_persistence_from_what_was_read() -> (
+    None
+):
+    """Without that, what stands in for a reading is a blow to a model of differences."""
+    lost = frozenset({290, 291, 292, 297, 299})
+    whole = fed(resonator(320, frozenset())[:300], None).departure(np.zeros(0))
+    with_lost = fed(resonator(320, lost)[:300], None).departure(np.zeros(0))
+    samples = resonator(320, lost)
+    given_ahead = np.array([sample.inputs for sample in samples[300:]])
+    of_whole = whole.referees(given_ahead, None)
+    of_lost = with_lost.referees(given_ahead, None)
+    assert of_lost[0, 0, 0] == samples[298].outputs[0]
+    true = np.array([sample.outputs[0] for sample in samples[300:]])
+    error = np.sqrt(np.mean(np.square(of_lost[1, 0] - true)))
+    error_of_whole = np.sqrt(np.mean(np.square(of_whole[1, 0] - true)))
+    # Five expectations in place of five readings: a few of its one-step errors, which are its noise.
+    assert error < error_of_whole + 0.02
+    assert error < np.sqrt(np.mean(np.square(of_lost[0, 0] - true)))

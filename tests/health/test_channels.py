@@ -187,7 +187,7 @@ def test_while_no_sensor_is_right_none_is_read_through() -> None:
 def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
     """Their rehearsals would take its readings."""
     monitor = ChannelMonitor(typical(), 1.0)
-    for sample in islice(run(100, "T1 frozen"), BEGINS + 60):
+    for sample in islice(run(3, "T1 frozen"), BEGINS + 150):
         monitor.push(sample)
         through = bool(monitor.competition.through)
         assert not (through and any(rehearsal.on for rehearsal in monitor.competition._rehearsals))
@@ -232,3 +232,45 @@ def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_
     assert numbers[890] == 0.0
     assert numbers[950] == numbers[-1] == 1.0
     assert sums[-1] < sums[950]
+
+
+def disturbed(until: int) -> ChannelMonitor:
+    """A monitor that has watched a real loop at constant set-points, to which things happen every 5 min."""
+    return watched(recorded("tclab_2x2", "disturbances_a"), until)
+
+
+def test_readings_that_jump_at_once_are_reported_and_read_through_by_none() -> None:
+    """From sample 1500 on both sensors of a real kit read 5 °C too little, for five minutes."""
+    samples = recorded("tclab_2x2", "disturbances_a")
+    monitor = watched(samples, 1500)
+    assert [alarm.fault for alarm in monitor.alarms] == [Fault.SENSOR_DRIFT] * 2  # one sensor at a time
+    for sample in islice(samples, 290):
+        monitor.push(sample)
+        assert monitor.estimates == ()
+    alarm = monitor.alarms[-1]
+    assert (alarm.fault, alarm.first, alarm.last, alarm.spoils) == (Fault.DRIFT, 1500, None, True)
+    assert alarm.flagged <= 1505
+    assert "temperature T1 and temperature T2 jumped at once" in alarm.reason
+    for sample in islice(samples, 30):  # they are right again
+        monitor.push(sample)
+    assert monitor.on is None
+    assert len(monitor.alarms) == 3
+
+
+def test_real_heaters_that_lack_or_exceed_a_fifth_are_named_and_a_display_that_stands_is_not() -> None:
+    """Heater 1 lacks 20 % from sample 2700 on, heater 2 has 20 % too much from 3300 on, both for 5 min; and
+    both lack 20 % from 3900 on. The loop holds T1 so well that its display often stands for half a minute.
+    """
+    monitor = disturbed(3990)
+    assert Fault.SENSOR_FROZEN not in {alarm.fault for alarm in monitor.alarms}
+    weak, strong, both = monitor.alarms[-3:]
+    assert (weak.fault, weak.signal) == (Fault.DRIVE_WEAK, "power")
+    assert 2700 < weak.flagged <= 2900
+    assert 0.3 < weak.size < 0.8  # of about 35 % that are asked for
+    assert (strong.fault, strong.signal) == (Fault.DRIVE_WEAK, "second")
+    assert 3300 < strong.flagged <= 3500
+    assert 1.3 < strong.size < 2.0
+    assert strong.reason.startswith("heater 2 has 1")
+    assert (both.fault, both.signal) == (Fault.DRIVE_WEAK, "")
+    assert both.flagged > 3900
+    assert both.reason.startswith("heater 1 and heater 2 have ")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.safety import StandIn
-from twinmatch.safety.stand_in import PATIENCE
+from twinmatch.safety.stand_in import LASTING, PATIENCE
 
 
 @pytest.fixture
@@ -27,12 +27,18 @@ def test_a_sensor_that_is_believed_is_taken_whatever_is_estimated() -> None:
     assert stand_in.look(1e6).trouble == ""
 
 
-def test_the_estimate_is_taken_until_the_sensor_is_given_back(accused: StandIn) -> None:
-    assert accused.look(10.0) == (40.0, "")
-    accused.take(41.0, 0.6, 1.0, 11.0)
-    assert accused.look(11.0) == (41.0, "")
+def test_the_estimate_is_taken_once_the_accusation_has_lasted_until_the_sensor_is_given_back(
+    accused: StandIn,
+) -> None:
+    lasted = 10.0 + LASTING
+    accused.take(40.0, 0.6, 1.0, lasted - 0.1)
+    value, trouble = accused.look(lasted - 0.1)
+    assert math.isnan(value)
+    assert trouble == ""
+    accused.take(41.0, 0.6, 1.0, lasted)
+    assert accused.look(lasted) == (41.0, "")
     accused.give_back()
-    assert math.isnan(accused.look(11.5).value)
+    assert math.isnan(accused.look(lasted + 0.5).value)
     assert accused.look(1e6).trouble == ""
 
 
@@ -59,8 +65,8 @@ def test_the_first_estimate_may_come_a_little_after_the_accusation() -> None:
     stand_in.accuse(10.0)
     assert stand_in.look(10.0 + PATIENCE).trouble == ""
     assert stand_in.look(10.1 + PATIENCE).trouble
-    stand_in.take(40.0, 0.5, 1.0, 10.1 + PATIENCE)
-    assert stand_in.look(10.1 + PATIENCE) == (40.0, "")
+    stand_in.take(40.0, 0.5, 1.0, 10.1 + LASTING)
+    assert stand_in.look(10.1 + LASTING) == (40.0, "")
 
 
 @given(
@@ -75,10 +81,11 @@ def test_what_is_taken_is_a_fresh_estimate_within_its_limits(
     time = 10.0
     stand_in.accuse(time)
     for pause, value, band in estimates:
-        time += pause
+        time += LASTING * pause
         stand_in.take(value, band, 1.0, time)
     value, trouble = stand_in.look(time + late)
     if not math.isnan(value):
+        assert time + late - 10.0 >= LASTING
         assert (value, trouble) == (estimates[-1][1], "")
         assert value <= 85.0
         assert estimates[-1][2] <= 1.0

@@ -29,6 +29,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
+from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings
 
@@ -149,7 +150,11 @@ def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]
         assert sample is not None
         outcome = twin.push(sample)
         yield sample, outcome
-        estimates = {estimate.signal: estimate.value for estimate in outcome.estimates}
+        estimates = {
+            estimate.signal: estimate.value
+            for estimate in outcome.estimates
+            if estimate.sample - estimate.since >= LASTING
+        }
         states = advance(truth, states, np.array(sample.inputs), 1.0)
 
 

@@ -186,7 +186,9 @@ class ForecastScore:
 
         They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
         better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
-        than chance. At horizons that were `trusted` before, the contrary has to be shown.
+        than chance. At horizons that were `trusted` before, the contrary has to be shown: that ARX is better
+        by more than a tenth, by the upper end of its interval. Where both baselines are better, the better
+        one is named.
         """
         doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
         return {horizon: doubt for horizon, doubt in doubts.items() if doubt is not None}
@@ -194,17 +196,27 @@ class ForecastScore:
     def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
             return FEW
-        needed, allowed = (0.0, _SHOWN) if held else (_SHOWN, _SHOWN / 2.0)
-        error, sure = self._behind("persistence", k)
-        if not sure < -needed:
-            return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
-        error, sure = self._behind("arx", k, _TENTH if held else 1.0)
-        if error > _TENTH and sure > allowed:
-            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+        behind = [self._behind_persistence(k, held=held), self._behind_arx(k, held=held)]
+        shortfalls = [shortfall for shortfall in behind if shortfall is not None]
+        if shortfalls:
+            return max(shortfalls, key=lambda shortfall: float(shortfall.figure))
+        allowed = _SHOWN if held else _SHOWN / 2.0
         share, number = (figures[k] if figures else math.nan for figures in (self.coverage, self.independent))
         short = (CONFIDENCE - share) / math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number)
         if short > allowed:
             return Shortfall(_BANDS, f"{100 * share:.0f}", short > _SHOWN)
+        return None
+
+    def _behind_persistence(self, k: int, *, held: bool) -> Shortfall | None:
+        error, sure = self._behind("persistence", k)
+        if sure < -(0.0 if held else _SHOWN):
+            return None
+        return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+
+    def _behind_arx(self, k: int, *, held: bool) -> Shortfall | None:
+        error, sure = self._behind("arx", k, _TENTH if held else 1.0)
+        if error > _TENTH and sure > (ONE_SIDED if held else _SHOWN / 2.0):
+            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
         return None
 
     def _behind(self, baseline: str, k: int, times: float = 1.0) -> tuple[float, float]:

@@ -16,6 +16,7 @@ triangular factor. That factor is updated, so that the model is fitted live at e
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -91,7 +92,10 @@ class ArxForecast(NamedTuple):
     level: FloatArray
     """Values of all signals that the coefficients are relative to, shape (o + m + d,)."""
     past: FloatArray
-    """Outputs, inputs and disturbances of the newest p samples, newest first, shape (p, o + m + d)."""
+    """Outputs, inputs and disturbances of the newest p samples, newest first, shape (p, o + m + d); in place
+    of outputs that were not read, what the model expected of them."""
+    standing: FloatArray
+    """Outputs, as they were read last, and newest inputs, shape (o + m,)."""
     spans: FloatArray
     """Limits of each forecast output, shape (o, 2): one width beyond what was visited."""
     law: Law | None
@@ -106,7 +110,7 @@ class ArxForecast(NamedTuple):
     def referees(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Forecasts of all `BASELINES`, in their order, shape (baselines, o + m, N); see `forecast`."""
         of_arx = self.forecast(ahead, rows)
-        of_persistence = np.broadcast_to(self.past[0, : len(of_arx), None], of_arx.shape)
+        of_persistence = np.broadcast_to(self.standing[:, None], of_arx.shape)
         return np.stack([of_persistence, of_arx])
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
@@ -119,8 +123,7 @@ class ArxForecast(NamedTuple):
         # Copies: read-only rows would need a kernel of their own.
         disturbances = np.zeros((len(ahead), 0)) if rows is None else np.array(rows)
         if not self.coefficients.size:
-            signals = self.past.shape[1] - disturbances.shape[1]
-            return np.repeat(self.past[0, :signals, None], len(ahead), axis=1)
+            return np.repeat(self.standing[:, None], len(ahead), axis=1)
         means: FloatArray = _simulate(
             self.coefficients,
             self.level,
@@ -172,6 +175,8 @@ class Arx:
             self.visited = self._visited_with(sample)
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
+            if not self._is_whole:
+                self._newest = self._without_lost(self._coefficients(self._fit), self._fit.level)
             self._newest = self._newest[-MAX_ORDER:]
             self._learned = MAX_ORDER
 
@@ -185,15 +190,49 @@ class Arx:
         """The model at the newest sample, with the controller's state after it."""
         fit = self._fit_now()
         coefficients = self._coefficients(fit)
-        past = _rows_of(self._newest)[::-1]
+        newest = self._newest if self._is_whole else self._without_lost(coefficients, fit.level)
+        past = _rows_of(newest)[::-1]
         # After a gap the model waits until it has as many samples as its order.
         order = coefficients.shape[1] // past.shape[1]
         if order > len(past):
             coefficients = np.zeros((0, 0))
             order = 0
-        spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
         newest_rows = np.ascontiguousarray(past[: max(order, 1)])
-        return ArxForecast(coefficients, fit.level, newest_rows, spans, self._law, controller)
+        standing = self._standing()
+        return ArxForecast(coefficients, fit.level, newest_rows, standing, self._spans, self._law, controller)
+
+    @property
+    def _spans(self) -> FloatArray:
+        """Limits of each forecast output: one width beyond what was visited."""
+        return np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
+
+    @property
+    def _is_whole(self) -> bool:
+        """Whether all of the newest samples were read."""
+        return all(sample.seen for sample in self._newest)
+
+    def _without_lost(self, coefficients: FloatArray, level: FloatArray) -> list[Sample]:
+        """The newest samples, with the model's own expectation in place of outputs that were not read: what
+        stands in for those is the twin's."""
+        rows = _rows_of(self._newest)
+        order = coefficients.shape[1] // rows.shape[1]
+        spans = self._spans
+        outputs = len(spans)
+        samples = list(self._newest)
+        for k, sample in enumerate(self._newest):
+            if sample.seen or not 0 < order <= k:
+                continue
+            lags = (rows[k - order : k][::-1] - level).ravel()
+            expected = rows[k - 1, :outputs] + coefficients[:, 0] + coefficients[:, 1:] @ lags
+            rows[k, :outputs] = np.clip(expected, spans[:, 0], spans[:, 1])
+            samples[k] = replace(sample, outputs=tuple(rows[k, :outputs].tolist()))
+        return samples
+
+    def _standing(self) -> FloatArray:
+        """Outputs as they were read last, and the newest inputs."""
+        newest = self._newest[-1]
+        read = next((sample for sample in reversed(self._newest) if sample.seen), newest)
+        return np.array([*read.outputs, *newest.inputs])
 
     def _fit_now(self) -> _Fit:
         """The fit with the new samples.

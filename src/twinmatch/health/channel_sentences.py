@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from twinmatch.dynamics import Drive, Model, Output, Parameter
 from twinmatch.health.evidence import Suspect
 from twinmatch.health.faults import TRAITS, Fault, Subject, signed
-from twinmatch.health.hypotheses import PlacedFault
+from twinmatch.health.hypotheses import EVERY, PlacedFault
 
 
 class ChannelSentences:
@@ -17,11 +18,14 @@ class ChannelSentences:
         self._model = model
         plant = model.plant
         self._drives = list(plant.drives.items())
+        self._all_drives = " and ".join(drive.text or name for name, drive in self._drives[:2])
         self._outputs = list(plant.outputs.items())
 
     def _declared(self, cause: PlacedFault) -> tuple[str, Drive | Output | Parameter]:
         """Name of what a fault concerns, and what the plant file declares of it."""
         fault, place = cause
+        if place == EVERY:
+            return "", replace(self._drives[0][1], text=self._all_drives)
         subject = TRAITS[fault].subject
         if subject is Subject.PARAMETER:
             name = self._model.structure.free[place]
@@ -34,6 +38,15 @@ class ChannelSentences:
         """What may have changed, in words."""
         name, declared = self._declared(cause)
         return TRAITS[cause[0]].suspect.format(name=declared.text or name)
+
+    def jumped(self, outputs: list[int]) -> tuple[str, str]:
+        """Name of the first of the outputs whose readings have jumped at once, and a sentence."""
+        names = [output.text or name for name, output in (self._outputs[i] for i in outputs)]
+        reason = (
+            f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of "
+            "them is right: look at what the sensors share, such as their supply; none is read through"
+        )
+        return self._outputs[outputs[0]][0], reason
 
     def said(
         self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]
@@ -53,6 +66,13 @@ class ChannelSentences:
         elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
             size = best.shift
             text = f"{signed(best.shift)} {unit}".rstrip()
+        if best.cause[1] == EVERY:
+            left = "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
+            return (
+                name,
+                size,
+                f"{self._all_drives} have {left}: look at what they share, such as their supply",
+            )
         around = self._model.plant.surroundings
         reason = TRAITS[fault].sentence.format(
             name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)

@@ -50,6 +50,11 @@ class _Naming:
     they have changed, s."""
     sized: float = 30.0
     """Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
+    more: float = 2.0 * CHANGE
+    """Evidence from which a drive is said to do more than before, nats: what equations lack of the exchange
+    between two loops looks like that."""
+    certain: float = 2.0
+    """Standard deviations of its size by which an unnamed change differs from none."""
     confirm: int = 3
     """Samples in a row with a reading that the sensor cannot give."""
 
@@ -205,12 +210,59 @@ class ChannelMonitor:
             best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _NAMING.confirm, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             self._read_through(output, 0)  # no filter has taken such readings: the newest is best
+        self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
         suspects = map(self._lost_or_weak, self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
         self._judge(self.suspects)
         for output in [*self.competition.through]:
             if not self._lies(output):
                 del self.competition.through[output]
+
+    def _judge_jumps(self, outputs: list[int]) -> None:
+        """Report readings that have jumped at once, or that such a jump is over.
+
+        What several sensors show at once is nothing that the plant does, and nothing that one sensor does:
+        there is none by which another could be read through.
+        """
+        if not outputs or self.competition.known < _NAMING.start * self.competition.second:
+            return
+        jumps = {output: self.competition.sensors[output].jump.size for output in outputs}
+        rows = {output: self._row_of_jump(output) for output in outputs}
+        self.competition.adopt_jumps(outputs)
+        returned = [named for named in self._jumped if self._is_back(named, jumps)]
+        for named in returned:
+            self._standing.remove(named)
+        if returned:
+            if self.on is not None and self.on.fault is Fault.DRIFT and not self._jumped:
+                self._close()
+            return
+        self._standing += [_NamedChange(Fault.DRIFT, rows[output], jumps[output]) for output in outputs]
+        self._raise_jumps(outputs)
+        self._expect_back()
+
+    @property
+    def _jumped(self) -> list[_NamedChange]:
+        """Readings that have jumped together with others, and have not come back."""
+        return [named for named in self._standing if named.fault is Fault.DRIFT]
+
+    def _row_of_jump(self, output: int) -> ChangeRow:
+        cause = (Fault.SENSOR_DRIFT, output)
+        return next(row for row in self.competition.rows if row.cause == cause and not row.slowly)
+
+    @staticmethod
+    def _is_back(named: _NamedChange, jumps: dict[int, float]) -> bool:
+        jump = jumps.get(named.row.cause[1], 0.0)
+        return abs(named.shift + jump) <= _ENDING.remainder * abs(named.shift)
+
+    def _raise_jumps(self, outputs: list[int]) -> None:
+        if self.on is not None:
+            self._close()
+        signal, reason = self.sentences.jumped(outputs)
+        first = self._index - _NAMING.confirm + 1
+        alarm = ChannelAlarm(
+            Fault.DRIFT, first, self._index, None, reason, True, signal, size=math.nan, rivals=(), suspects=()
+        )
+        self._alarms.append(alarm)
 
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
@@ -219,12 +271,13 @@ class ChannelMonitor:
         return by_alarm or any(named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing)
 
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
-        """The suspect; a weak drive of which nearly nothing is left becomes a lost one."""
+        """The suspect; a drive is lost if nearly nothing is left of its effect, and weak if more is,
+        whatever it was followed as."""
         fault, drive = suspect.cause
-        if fault is not Fault.DRIVE_WEAK:
+        if fault not in {Fault.DRIVE_WEAK, Fault.DRIVE_LOST}:
             return suspect
-        lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
-        return replace(suspect, cause=(Fault.DRIVE_LOST, drive)) if lost else suspect
+        is_lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
+        return replace(suspect, cause=(Fault.DRIVE_LOST if is_lost else Fault.DRIVE_WEAK, drive))
 
     def shows(self, suspect: Suspect) -> bool:
         """Whether it can be seen yet: a sensor that repeats its reading is frozen once the plant should have
@@ -235,7 +288,9 @@ class ChannelMonitor:
     def _counts(self, suspect: Suspect) -> bool:
         """Whether a suspect competes: a push does once it has passed, as it explains anything while it
         lasts."""
-        return suspect.cause[0] is not Fault.DISTURBANCE or self.competition.remains(suspect) < _ENDING.faded
+        if suspect.cause[0] is not Fault.DISTURBANCE:
+            return True
+        return self._is_material(suspect) and self.competition.remains(suspect) < _ENDING.faded
 
     def _judge(self, suspects: list[Suspect]) -> None:
         """End the alarm that is over; raise one for a cause that has led for long enough, or for none that
@@ -257,6 +312,8 @@ class ChannelMonitor:
             suspects = named  # the unknown, which may act as anything does, counts only far ahead
         best = suspects[0]
         rivals = [suspect.evidence for suspect in suspects[1:] if self._exclude_each_other(suspect, best)]
+        if not competition.may_accuse(best):
+            return
         leads = best.evidence - max([0.0, *rivals]) >= LEAD
         self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
         if self._leads[1] < _NAMING.holds:
@@ -266,7 +323,7 @@ class ChannelMonitor:
         elif not leads:
             self._unnamed += 1
             enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _NAMING.unnamed * competition.second
-            if enough and self.on is None and competition.known >= _NAMING.learned:
+            if enough and self.on is None and self._began_known(best) and self._is_material(best):
                 self._raise(Fault.DRIFT, best, suspects)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
@@ -277,6 +334,8 @@ class ChannelMonitor:
             return not self._impossible[on.suspects[0].cause[1]]
         if on.fault is Fault.DISTURBANCE:
             return self._index - on.flagged > _ENDING.passed * self.competition.second
+        if self._jumped:
+            return False
         return on.fault is Fault.DRIFT and (not suspects or suspects[0].evidence < 0.0)
 
     def _is_to_be_named(self, best: Suspect) -> bool:
@@ -288,21 +347,45 @@ class ChannelMonitor:
         age = (self.competition.count - best.born) / self.competition.second
         if best.cause[0] is Fault.DRIVE_WEAK and age < _NAMING.sized:
             return False
+        if best.cause[0] is Fault.DRIVE_WEAK and best.shift > 0.0 and best.evidence < _NAMING.more:
+            return False
         undone = next((named for named in self._standing if self._undoes(best, named)), None)
         if undone is not None:
             self._standing.remove(undone)
             if self.on is not None and self.on.fault is undone.fault:
                 self._close()
-        wait = _NAMING.learned if best.cause[0] in _LEARNED_FIRST else _NAMING.young
-        young = self.competition.known < wait and best.cause[0] is not Fault.DRIVE_LOST
+        young = self._is_young(best)
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
-        material = abs(best.shift) >= best.row.least
-        if undone is None and material and not young:
+        if undone is None and abs(best.shift) >= best.row.least and not young:
             return True
         if undone is not None or best.evidence > 2.0 * CHANGE:
             self._adopt(best)
         return False
+
+    def _began_known(self, best: Suspect) -> bool:
+        """Whether the plant was known well when the change began."""
+        age = (self.competition.count - best.born) / self.competition.second
+        return self.competition.known - age >= _NAMING.learned
+
+    @staticmethod
+    def _is_material(best: Suspect) -> bool:
+        """Whether a change is one that is reported, and not one that has shrunk to nothing since."""
+        return abs(best.shift) >= max(best.row.least, _NAMING.certain * best.error)
+
+    def _is_young(self, best: Suspect) -> bool:
+        """Whether the plant is not known for long enough to say that this has changed.
+
+        A reading that creeps away is one more parameter while the others are not known yet.
+        """
+        known = self.competition.known
+        if best.cause[0] is Fault.DRIVE_LOST:
+            return False
+        if best.cause[0] in _LEARNED_FIRST:
+            return known < _NAMING.learned
+        if best.row.slowly:
+            return not self._began_known(best)
+        return known < _NAMING.young
 
     @staticmethod
     def _exclude_each_other(suspect: Suspect, best: Suspect) -> bool:
@@ -312,12 +395,13 @@ class ChannelMonitor:
         named while it may be a lost one.
         """
         may_be_lost = best.cause[0] is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST
-        return may_be_lost or suspect.row.number != best.row.number
+        is_same = (suspect.row.number, suspect.row.also) == (best.row.number, best.row.also)
+        return may_be_lost or not is_same
 
     @staticmethod
     def _undoes(suspect: Suspect, named: _NamedChange) -> bool:
         """Whether a suspect brings the number of a named change nearly back to what it was before."""
-        if named.row.number != suspect.row.number:
+        if (named.row.number, named.row.also) != (suspect.row.number, suspect.row.also):
             return False
         remaining = abs(named.shift + suspect.shift)
         return remaining <= max(_ENDING.remainder * abs(named.shift), suspect.row.least)
@@ -327,10 +411,11 @@ class ChannelMonitor:
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
                 self._raise(fault, best, suspects)
+                self.competition.sensors[signal].is_accused = True
                 self._read_through(signal, best.born)
             return
-        if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
-            return  # what does more than before has no name
+        if fault is Fault.DRIFT:
+            return
         on = self.on
         if on is None or (on.fault, on.suspects[0].cause[1]) != (fault, signal):
             self._raise(fault, best, suspects)
@@ -341,10 +426,14 @@ class ChannelMonitor:
             self._read_through(signal, best.born)
 
     def _adopt(self, best: Suspect) -> None:
-        """Take a change for how the plant is from now on; expect that named changes may be undone."""
+        """Take a change for how the plant is from now on."""
         self.competition.adopt(best)
         self._leads = (None, 0)
         self._unnamed = 0
+        self._expect_back()
+
+    def _expect_back(self) -> None:
+        """Have every named change compete that may be undone."""
         self.competition.expect_back(
             [
                 replace(

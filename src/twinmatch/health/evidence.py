@@ -14,11 +14,11 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
-from twinmatch.health.faults import Fault
+from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import ChangeRow, PlacedFault, rows_of
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
-from twinmatch.health.sensors import LearnedSensor
+from twinmatch.health.sensors import Jump, LearnedSensor
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 EVERY: Final = 2.0
@@ -122,6 +122,7 @@ class Competition:
         period = healthy.period
         scale = healthy.scale
         numbers = [healthy.numbers[row.number] for row in rows]
+        also = [healthy.numbers[row.also] if row.also else -1 for row in rows]
         causes = [self._causes.index(row.cause) for row in rows]
         rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
         lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
@@ -130,6 +131,7 @@ class Competition:
         spread = np.array([row.spread for row in rows])
         return ChangeRows(
             number=np.array(numbers, dtype=np.int64),
+            also=np.array(also, dtype=np.int64),
             cause=np.array(causes, dtype=np.int64),
             rate=np.array(rates),
             wanders=wanders**2 * 2.0 * period / (30.0 * scale),
@@ -271,6 +273,17 @@ class Competition:
             for rehearsal in self._rehearsals:  # those of the others take its readings
                 rehearsal.drop()
 
+    def may_accuse(self, suspect: Suspect) -> bool:
+        """Whether the equations forecast well what they would be believed in: the output that a cause
+        concerns, or all of them. No plant moves as a reading does that jumps."""
+        fault, place = suspect.cause
+        if fault is Fault.SENSOR_DRIFT and not suspect.row.slowly:
+            return True
+        variance = np.array([sensor.variance for sensor in self.sensors])
+        knows = self.healthy.skill.knows(variance)
+        concerns_one_output = TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
+        return bool(knows[place] if concerns_one_output else knows.all())
+
     @property
     def rough(self) -> bool:
         """Whether even the most careful of the levels does not doubt the equations enough."""
@@ -289,6 +302,29 @@ class Competition:
     def remains(self, suspect: Suspect) -> float:
         """Share of a jump of the number that has not faded."""
         return float(self._traces.trace[suspect.hypothesis, self.healthy.numbers[suspect.row.number]])
+
+    def jumped(self, age: int) -> list[int]:
+        """Outputs whose readings have jumped at once, `age` samples ago or the one after, and have stayed
+        there; none unless there are two."""
+        newest = {output: sensor.jump for output, sensor in enumerate(self.sensors) if sensor.jump.size}
+        if not any(jump.age == age for jump in newest.values()):
+            return []
+        at_once = [output for output, jump in newest.items() if jump.age in {age - 1, age}]
+        return at_once if len(at_once) > 1 else []
+
+    def adopt_jumps(self, outputs: list[int]) -> None:
+        """Take jumps of several readings for what they are off by, in every healthy member."""
+        members = self.healthy.members
+        for output in outputs:
+            place = self.healthy.numbers[f"offset {output}"]
+            sensor = self.sensors[output]
+            members.at[: self.healthy.healthy, place] += sensor.jump.size
+            members.covariance[: self.healthy.healthy, place, place] += 2.0 * sensor.variance
+            sensor.jump = Jump(0, 0.0)
+        self._clear()
+        self.healthy.forget_newest()
+        for rehearsal in self._rehearsals:
+            rehearsal.drop()
 
     def adopt(self, suspect: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that

@@ -173,6 +173,8 @@ class Alarm:
     readings count nowhere."""
     signal: str = ""
     """Name in the plant file of the drive, output or parameter that it concerns; empty if it names none."""
+    withdrawn: str = ""
+    """Why it was taken back, in a sentence; empty if it ended by itself, or is on."""
 
     @property
     def alters(self) -> bool:
@@ -316,6 +318,13 @@ class FaultSentences:
                 f"look at {self.sensor}"
             )
         return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+
+    def recurring(self) -> str:
+        """Steps that were called impossible, and have come again and again."""
+        return (
+            f"{Fault.SENSOR_IMPLAUSIBLE.value} is taken back: steps of {self.output} as large as those that "
+            "were refused recur, and its readings continue from there, so the plant makes them"
+        )
 
     def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:
         """A sensor that repeats one reading."""

@@ -7,7 +7,7 @@ once, slowly, or for a while.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from twinmatch.dynamics import Model
@@ -15,10 +15,19 @@ from twinmatch.health.faults import Fault
 
 PlacedFault = tuple[Fault, int]
 """A fault, and the place of the free parameter, drive or output that it concerns; of a `DRIFT`, the place of
-the drive that something unknown acts like."""
+the drive that something unknown acts like; `EVERY` for all drives at once."""
+
+EVERY: Final = -1
+"""Place of all drives together."""
 
 RARE: Final = 2.5
 """Price of what comes evenly over minutes, nats."""
+MORE: Final = 0.4
+"""Least share by which a drive does more than before: below, what the equations say of the exchange between
+two loops is as likely to be wrong."""
+CREEPS: Final = 5.0
+"""Price of a sensor whose reading creeps away within minutes, nats: sensors age over days, and a jump is a
+loose contact; what creeps within minutes is nearly always the plant."""
 UNKNOWN: Final = 2.0
 """Price of something unknown that acts as a drive does, nats."""
 
@@ -45,6 +54,8 @@ class ChangeRow:
     """Nats that this row costs beyond those of its cause and its onset."""
     wanders: float = 0.25
     """By how much its size may wander within 30 s, as a share: no change has exactly the shape of its row."""
+    also: str = ""
+    """Another number that changes by the same; empty: there is none."""
 
 
 def rows_of(model: Model) -> list[ChangeRow]:
@@ -58,6 +69,8 @@ def rows_of(model: Model) -> list[ChangeRow]:
             rows += _rows_of_room(place, name, declared.scale)
     for j, drive in enumerate(model.plant.drives.values()):
         rows += _rows_of_drive(j, drive.limits[1] - drive.limits[0])
+    if len(model.plant.drives) > 1:
+        rows += _rows_of_supply()
     for i, output in enumerate(model.plant.outputs.values()):
         rows += _rows_of_sensor(i, output.noise)
     return rows
@@ -85,11 +98,22 @@ def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
     """
     share = f"share {j}"
     yield ChangeRow((Fault.DRIVE_LOST, j), share, shift=-1.0, spread=0.03, least=0.5, wanders=0.05)
-    for shift in (-0.35, 0.3):
-        yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift, spread=0.2, least=0.1)
+    yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=-0.35, spread=0.2, least=0.1)
+    yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=0.3, spread=0.2, least=MORE)
     yield ChangeRow((Fault.DRIVE_WEAK, j), share, spread=0.3, least=0.1, slowly=300.0, price=RARE)
     push = 0.15 * reach
-    yield ChangeRow((Fault.DRIFT, j), f"push {j}", spread=push, least=0.1 * push, price=UNKNOWN)
+    least = 0.05 * reach
+    yield ChangeRow((Fault.DRIFT, j), f"push {j}", spread=push, least=least, price=UNKNOWN)
+
+
+def _rows_of_supply() -> Iterator[ChangeRow]:
+    """What the first two drives share, such as their supply, is lost, or does less or more."""
+    yield ChangeRow(
+        (Fault.DRIVE_LOST, EVERY), "share 0", also="share 1", shift=-1.0, spread=0.03, least=0.5, wanders=0.05
+    )
+    weak = ChangeRow((Fault.DRIVE_WEAK, EVERY), "share 0", also="share 1", shift=-0.35, spread=0.2, least=0.1)
+    yield weak
+    yield replace(weak, shift=0.3, least=MORE)
 
 
 def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
@@ -97,6 +121,6 @@ def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
     drift = (Fault.SENSOR_DRIFT, i)
     offset = f"offset {i}"
     yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, wanders=0.1)
-    yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, slowly=300.0, price=RARE)
+    yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, slowly=300.0, price=CREEPS)
     for spread in (3.0 * noise, 12.0 * noise):
-        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", spread=spread, least=0.5 * noise, lasting=30.0)
+        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", spread=spread, least=noise, lasting=30.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -105,6 +105,59 @@ def _no_members(healthy: int, numbers: int, outputs: int) -> BankMembers:
     )
 
 
+class ScoredForecast(NamedTuple):
+    """One forecast beside its readings; errors are of each output."""
+
+    at: int
+    """Sample at which it was scored, counted from the beginning."""
+    ahead: int
+    """Place of how far ahead it was made."""
+    error: float
+    """Mean squared error of all outputs, in their variances."""
+    squares: FloatArray
+    """Squared errors."""
+    standing: FloatArray
+    """Those of a reading that had stayed what it was."""
+
+
+class ForecastSkill:
+    """Whether the equations forecast each output about as well as a reading that stays what it is.
+
+    In a loop that holds its set-points nothing is better than that; equations that err twice as far there
+    are not those of this plant.
+    """
+
+    _AHEAD: Final = 2
+    """Place of the shortest forecasts that count: sooner, nothing has moved."""
+    _SMALL: Final = 3.0
+    """Errors up to so many standard deviations of a reading are none."""
+    _FARTHER: Final = 2.0
+    """Times as far that the equations may err."""
+    _LEAST: Final = 12.0
+    """Number of forecasts from which on it is known: those of a minute and a half."""
+
+    def __init__(self, outputs: int) -> None:
+        """Begin without any forecast."""
+        self._squares = np.zeros(outputs)
+        self._standing = np.zeros(outputs)
+        self._count = 0.0
+
+    def take(self, scored: ScoredForecast) -> None:
+        """Take a forecast."""
+        if scored.ahead < self._AHEAD:
+            return
+        self._squares = _KEPT * self._squares + scored.squares
+        self._standing = _KEPT * self._standing + scored.standing
+        self._count = _KEPT * self._count + 1.0
+
+    def knows(self, variance: FloatArray) -> BoolArray:
+        """Which outputs are forecast well, where readings have this variance; all, before that is known."""
+        if self._count < self._LEAST:
+            return np.ones(variance.size, dtype=bool)
+        small = self._SMALL**2 * variance * self._count
+        return np.asarray(self._squares <= self._FARTHER**2 * np.maximum(self._standing, small))
+
+
 class HealthyMixture:
     """Filters of one plant, weighed by its readings."""
 
@@ -140,7 +193,9 @@ class HealthyMixture:
         """The most probable of the levels."""
         self._dispersion = np.ones(len(AHEAD))
         self._weights = np.full(len(AHEAD), _RECORD.prior)
-        self._waiting: deque[tuple[int, int, float]] = deque()
+        self._waiting: deque[ScoredForecast] = deque()
+        self.skill = ForecastSkill(len(model.noise))
+        self._values_begun = np.zeros((_RECORD.count, len(model.noise)))
         self.doubts = np.ones(1)
         """By how much evidence is divided, for each age of a change, samples."""
         self.restart()
@@ -284,11 +339,13 @@ class HealthyMixture:
         self._score_and_end(count, values, variance, all_seen=bool(counts.all()))
         late = _RECORD.counted * self.second if self.known > _RECORD.known * self.second else 0.0
         has_news = False
-        while self._waiting and self.known - self._waiting[0][0] > late:
-            _, k, error = self._waiting.popleft()
-            weight = _KEPT * self._weights[k]
-            self._dispersion[k] = (weight * self._dispersion[k] + error) / (weight + 1.0)
-            self._weights[k] = weight + 1.0
+        while self._waiting and self.known - self._waiting[0].at > late:
+            scored = self._waiting.popleft()
+            self.skill.take(scored)
+            weight = _KEPT * self._weights[scored.ahead]
+            dispersion = (weight * self._dispersion[scored.ahead] + scored.error) / (weight + 1.0)
+            self._dispersion[scored.ahead] = dispersion
+            self._weights[scored.ahead] = weight + 1.0
             has_news = True
         if has_news or self.doubts.size == 1:
             dispersion = np.maximum.accumulate(np.maximum(self._dispersion, 1.0))
@@ -303,9 +360,12 @@ class HealthyMixture:
             b = self.healthy + k
             age = count - self._begun[k]
             if alive and age in self._ahead and all_seen:
-                squares = (values - members.expected[b]) ** 2 / (members.variance[b] + variance)
-                squares = np.minimum(squares, _RECORD.most)
-                self._waiting.append((self.known, self._ahead.index(age), float(squares.mean())))
+                squares = (values - members.expected[b]) ** 2
+                in_variances = np.minimum(squares / (members.variance[b] + variance), _RECORD.most)
+                standing = (values - self._values_begun[k]) ** 2
+                ahead = self._ahead.index(age)
+                scored = ScoredForecast(self.known, ahead, float(in_variances.mean()), squares, standing)
+                self._waiting.append(scored)
             if not alive or age >= self._ahead[-1]:
                 members.alive[b] = False
                 free = k
@@ -315,6 +375,7 @@ class HealthyMixture:
                 array[b] = array[self.best]
             members.alive[b] = True
             self._begun[free] = count
+            self._values_begun[free] = values
 
     def choose_way(self) -> bool:
         """Have inputs act in another way from now on if that is clearly better; returns whether they do."""

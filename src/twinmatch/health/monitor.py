@@ -164,6 +164,12 @@ class Monitor:
         news = self._judge(sample.index, evidence, starting)
         return self._health(sample.index, evidence, starting, news)
 
+    def withdraw(self) -> None:
+        """Take the fault of impossible readings back at the next sample: such steps have recurred."""
+        if self._open and self._alarms[-1].fault is _REFUSED:
+            reason = self._sentences.recurring()
+            self._alarms[-1] = replace(self._alarms[-1], withdrawn=reason)
+
     def _is_behind_gap(self, previous: Sample | None, sample: Sample) -> bool:
         """Whether a sample begins a run: the first, or one behind a gap in the indices or in the stamps."""
         if previous is None or sample.index != previous.index + 1:
@@ -460,6 +466,8 @@ class Monitor:
         fault = self._alarms[-1].fault
         quiet = self._quiet * self.settings.pace
         proven = self._proofs * self.settings.pace
+        if self._alarms[-1].withdrawn:
+            return True
         if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in _OF_THE_DRIVE and self._acts_within_sample and isinstance(self._effect, Effect):

@@ -30,6 +30,11 @@ class _Implausible:
     movement is then within its reach."""
     late: int = 5
     """Samples by which the plant may answer later than the twin."""
+    recurs: int = 3
+    """Times that readings have continued from a refused step, from which on such steps are the plant's:
+    a spike comes back, and a sensor that has shifted does so once."""
+    like: float = 1.5
+    """Times a usual movement up to which a step is like it."""
 
 
 _IMPLAUSIBLE: Final = _Implausible()
@@ -47,6 +52,42 @@ def stamps_apart(before: Sample, after: Sample, period: float) -> bool:
     """
     elapsed = (after.stamp - before.stamp) / 1e9
     return elapsed < 0 or elapsed > GAP * max(1.0, period) * max(after.index - before.index, 1)
+
+
+class UsualSteps:
+    """How far readings usually move in one sample, and how often a step of that size was refused."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._largest = [0.0] * _IMPLAUSIBLE.recurs
+        """The largest movements in a sample between two readings that were taken, the largest last."""
+        self._refused = 0
+
+    @property
+    def usual(self) -> float:
+        """A movement that readings have made several times."""
+        return self._largest[0]
+
+    @property
+    def recur(self) -> bool:
+        """Whether steps that were refused are the plant's."""
+        return self._refused >= _IMPLAUSIBLE.recurs
+
+    def take(self, moved: float) -> None:
+        """Take a movement between two readings that were taken."""
+        if abs(moved) > self._largest[0]:
+            self._largest = sorted([*self._largest[1:], abs(moved)])
+
+    def refuse(self, moved: float, samples: int) -> None:
+        """Take a movement from whose refused beginning the readings continue, over so many samples."""
+        self._refused += self._is_like_usual(moved, samples)
+
+    def include(self, moved: float, samples: int) -> bool:
+        """Whether a movement over so many samples is one of those that recur."""
+        return self.recur and self._is_like_usual(moved, samples)
+
+    def _is_like_usual(self, moved: float, samples: int) -> bool:
+        return abs(moved) <= samples * _IMPLAUSIBLE.like * self.usual
 
 
 class Refusals:
@@ -69,6 +110,7 @@ class Refusals:
         self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
         self._cut = False  # whether the first of these is not usable
         self._earlier: deque[float] = deque(maxlen=_IMPLAUSIBLE.late)  # inputs of accepted samples
+        self.steps = UsualSteps()
 
     @property
     def taught(self) -> bool:
@@ -85,7 +127,9 @@ class Refusals:
             self._since = []
             self._cut = False
             self._earlier.clear()
-        if self._possible(sample) and not (self._since and self._leaps(sample)):
+        if self._possible(sample) and not (self._since and self._is_refused_step(sample)):
+            if len(self._since) == 1 and sample.follows(self._since[0]) and not self._cut:
+                self.steps.take(sample.outputs[0] - self._since[0].outputs[0])
             self._since = [sample]
             self._cut = False
             self._earlier.extend(sample.inputs[:1])
@@ -103,6 +147,25 @@ class Refusals:
         commands = (*sample.references, *sample.inputs, *sample.disturbances)
         within = (low <= y <= high for (low, high), y in zip(self._spans, sample.outputs, strict=False))
         return all(within) and all(map(math.isfinite, commands))
+
+    def _is_refused_step(self, sample: Sample) -> bool:
+        """Whether a reading is refused for where it has moved; counts those from which readings continue."""
+        if not self._leaps(sample):
+            return False
+        before = self._since[0]
+        moved = sample.output - before.output
+        samples = sample.index - before.index
+        is_second = len(self._since) == 2 and not self._cut
+        if is_second and self._continues(sample):
+            self.steps.refuse(moved, samples)
+        return not self.steps.include(moved, samples)
+
+    def _continues(self, sample: Sample) -> bool:
+        """Whether a reading is on the side of the newest accepted one to which the refused one has moved."""
+        before, last = self._since
+        return (
+            bool(last.refused) and (sample.output - before.output) * (last.refused[0] - before.output) > 0.0
+        )
 
     def _leaps(self, sample: Sample) -> bool:
         """Whether the plant cannot have moved there since the newest accepted sample."""

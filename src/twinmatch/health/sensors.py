@@ -3,15 +3,70 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from twinmatch.dynamics.bank import JUNK
 from twinmatch.health.roughness import Roughness
 
 _STANDS: Final = math.log(1.0 - 1e-4)
 """Log-probability with which a frozen sensor repeats its reading."""
+_FAR: Final = 6.0
+"""Times a reading's usual movement in a sample from which on it has jumped."""
+_LEAST: Final = 8.0
+"""Times its noise that a jump has at least: an offset is reported from there on."""
+_TAKEN_BACK: Final = 3
+"""Samples within which an outlier is taken back."""
 _MOVES: Final = 20
 """Movements of a reading after which its last digit is known."""
+
+
+class Jump(NamedTuple):
+    """A movement of a reading in one sample."""
+
+    age: int
+    """Samples since."""
+    size: float
+    """By how much it moved, in its unit; 0: nothing has jumped."""
+
+
+class RunLengths:
+    """How long a sensor usually repeats a reading, from its runs of repeats that have ended.
+
+    A display with coarse steps, or a reading that is averaged, stands for longer the better the loop holds
+    it, so how likely a run is to continue depends on how long it already is: a ratio for each doubling of its
+    length, of the repeats there to the runs that ended there.
+    """
+
+    _RUNS: Final = 2
+    """Runs of at least such a length from which on the ratio is known."""
+    _DOUBLINGS: Final = 24
+
+    def __init__(self) -> None:
+        """Begin without any run."""
+        self._continued = np.zeros(self._DOUBLINGS)
+        self._ended = np.zeros(self._DOUBLINGS)
+
+    @classmethod
+    def _doubling(cls, repeats: int) -> int:
+        return min((repeats + 1).bit_length() - 1, cls._DOUBLINGS - 1)
+
+    def take(self, repeats: int) -> None:
+        """Take a run of so many repeats that has ended."""
+        last = self._doubling(repeats)
+        for doubling in range(last):
+            self._continued[doubling] += 2**doubling
+        self._continued[last] += repeats + 1 - 2**last
+        self._ended[last] += 1.0
+
+    def continues(self, repeats: int) -> float:
+        """Probability that a run of so many repeats continues; 0 where too few have been that long."""
+        doubling = self._doubling(repeats)
+        if self._ended[doubling:].sum() < self._RUNS:
+            return 0.0
+        continued = float(self._continued[doubling])
+        return (continued + 1.0) / (continued + float(self._ended[doubling]) + 2.0)
 
 
 class LearnedSensor:
@@ -27,6 +82,7 @@ class LearnedSensor:
         self.step = 0.1 * noise
         """Value of its last digit."""
         self._roughness = Roughness(noise)
+        self._run_lengths = RunLengths()
         self._walk = 2.0 * noise  # how far readings usually move in a sample
         self._smallest = math.inf  # movement so far
         self._moves = 0  # movements so far
@@ -45,6 +101,10 @@ class LearnedSensor:
         """Repeats in a row."""
         self.frozen = 0.0
         """What they say for a frozen sensor, nats."""
+        self.is_accused = False
+        """Whether this run of repeats is that of a frozen sensor, which is not how it usually reads."""
+        self.jump = Jump(0, 0.0)
+        """The newest movement in one sample that is far from how the reading usually moves."""
 
     @property
     def variance(self) -> float:
@@ -84,13 +144,19 @@ class LearnedSensor:
     def learn(self, value: float, counts: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""
         if self.repeated:
+            usually = self._run_lengths.continues(self.repeats)
+            healthy = max(gained, math.log(usually)) if usually > 0.0 else gained
             self.repeats = self.repeats + 1
-            self.frozen = self.frozen + _STANDS - gained
+            self.frozen = self.frozen + _STANDS - healthy
         elif counts:
+            if not self.is_accused and not math.isnan(self._before):
+                self._run_lengths.take(self.repeats)
+            self.is_accused = False
             self.repeats = 0
             self.frozen = 0.0
         earlier = self._earlier
         before = self._before
+        self._follow_jump(value, before, counts)
         self._earlier = before
         self._before = value if counts else math.nan
         if not counts or math.isnan(before):
@@ -109,6 +175,20 @@ class LearnedSensor:
         if not math.isnan(earlier):
             self._roughness.take(abs(value - 2.0 * before + earlier))
         self.noise = self._roughness.noise
+
+    def _follow_jump(self, value: float, before: float, counts: bool) -> None:
+        """Note a movement that is far from the usual ones; one that is taken back at once was an outlier."""
+        if not counts or math.isnan(before):
+            return
+        moved = value - before
+        self.jump = Jump(self.jump.age + 1, self.jump.size)
+        is_far = abs(moved) > max(_FAR * self._walk, _LEAST * self.noise, _LEAST * self._usual)
+        if not is_far:
+            return
+        is_taken_back = self.jump.age <= _TAKEN_BACK and abs(moved + self.jump.size) < 0.5 * abs(
+            self.jump.size
+        )
+        self.jump = Jump(0, 0.0 if is_taken_back else moved)
 
 
 def _between(deviation: float, digit: float, spread: float) -> float:

@@ -9,6 +9,11 @@ PATIENCE: Final = 2.0
 """Time without a usable estimate after which nothing says what the sensor should read, s."""
 
 
+LASTING: Final = 10.0
+"""Time for which a sensor must have been accused before a law takes an estimate in its place, s: an alarm
+that is taken back sooner gives the loop nothing."""
+
+
 class StandInState(NamedTuple):
     """What the law takes now, and what is wrong."""
 
@@ -21,8 +26,8 @@ class StandInState(NamedTuple):
 class StandIn:
     """One sensor that an operator has allowed to be read through.
 
-        believed ──accused──▶ stands in ──given back──▶ believed
-                                  └──no usable estimate──▶ trouble
+        believed ──accused──▶ doubted ──has lasted──▶ stands in ──given back──▶ believed
+                                 └──────no usable estimate──────┴──▶ trouble
 
     A verdict gives a sensor back, silence never does: a twin that ends must not hand the loop back to a
     sensor that lies. All times are seconds of one clock that does not step back.
@@ -57,13 +62,14 @@ class StandIn:
             self._newest = now, value
 
     def look(self, now: float) -> StandInState:
-        """What the law takes now. Until the first estimate after an accusation that is the reading."""
+        """What the law takes now. Until the accusation has lasted, that is the reading."""
         if not self.accused:
             return StandInState(math.nan)
         estimated_at, value = self._newest
         if now - estimated_at <= PATIENCE and not self._poor:
             hot = f"{self._name} is estimated at {value:.1f} {self._unit}" if value > self._highest else ""
-            return StandInState(math.nan if hot else value, hot)
+            has_lasted = now - self._since >= LASTING
+            return StandInState(value if has_lasted and not hot else math.nan, hot)
         if now - self._since <= PATIENCE:
             return StandInState(math.nan)
         why = f"the estimate is {self._poor}" if self._poor else "there is no estimate"

@@ -65,6 +65,11 @@ class Door:
         """Whether the door still needs a nominal twin to judge readings."""
         return self._refusals is not None and not self._refusals.taught
 
+    @property
+    def steps_recur(self) -> bool:
+        """Whether steps that were refused have recurred, so that they are the plant's."""
+        return self._refusals is not None and self._refusals.steps.recur
+
     @classmethod
     def of(cls, settings: TwinSettings) -> Door:
         """A door for the plant, loop, limits and longest gap of these settings."""

@@ -16,6 +16,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
+from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import Sample, Signals, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.door import Door
@@ -123,6 +124,7 @@ class Discriminator:
     def _begin_door(self) -> None:
         """Settle samples without knowing any before."""
         self._door = Door.of(self.settings)
+        self._steps_recurred = False
         self._entered.clear()
 
     def _begin_health(self) -> None:
@@ -353,7 +355,7 @@ class Discriminator:
         if sample.usable:
             self.forecaster.push(sample, taken)
         if news is not None:
-            reason = f"{news.fault.value} is over: the plant responds normally again"
+            reason = news.withdrawn or f"{news.fault.value} is over: the plant responds normally again"
             match = MatchResult(reason=news.reason if has_begun else reason)
             window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
             with one_thread():
@@ -365,12 +367,15 @@ class Discriminator:
     def _taken_by_law(self, sample: Sample) -> Signals | None:
         """The outputs that the law took where sensors are read through; None: those of the sample.
 
-        In place of a reading that is not believed it takes what was estimated at the sample before.
+        In place of a reading that has not been believed for a while it takes what was estimated at the sample
+        before.
         """
+        before_last = LASTING / self.settings.period
         estimates = {
             estimate.signal: estimate.value
             for estimate in self.monitor.estimates
             if estimate.signal in self.settings.read_through
+            and estimate.sample - estimate.since >= before_last
         }
         if not estimates:
             return None
@@ -392,11 +397,18 @@ class Discriminator:
         nominal = self.nominal
         if nominal is not None and self.monitor.fault_between(*nominal.samples, slow=True) is not None:
             nominal = None  # it describes a plant at fault
+        self._withdraw_recurring_steps()
         health = self.monitor.push(sample, nominal.parameters if nominal else None)
         if health.state is HealthState.FAULT:
             self._fault_before = None
         self._health = health if self._fault_before is None else replace(self._fault_before, news=health.news)
         self._watched = sample.index
+
+    def _withdraw_recurring_steps(self) -> None:
+        """Take back a fault of impossible readings once the door takes such steps for the plant's."""
+        if self._door.steps_recur and not self._steps_recurred and isinstance(self.monitor, Monitor):
+            self._steps_recurred = True
+            self.monitor.withdraw()
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
