@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch import twin
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import TrustLevel, Verdict, statements_of
 from twinmatch.defects import without_what_fails
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
@@ -129,15 +129,15 @@ def plant_report(verdict: Verdict | None, reason: str) -> Report:
     readings. `reason` is the sentence with which the fault was found."""
     if verdict is None:
         return Report(Level.OK, "nothing is judged yet", {})
-    missed = verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None
-    if not verdict.fault and missed is None:
+    trust, fault, _ = statements_of(verdict)
+    if fault is None and trust.missed_since is None:
         return Report(Level.OK, "the plant responds normally", {})
-    sentence = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
-    since = verdict.fault_since if verdict.fault else missed
-    values = {"fault": verdict.fault, "channel": verdict.fault_signal, "since sample": since}
+    if fault is None:
+        return Report(Level.WARN, trust.reason, {"since sample": str(trust.missed_since)})
+    values = {"fault": fault.name, "channel": fault.signal, "since sample": fault.since}
     filled = {key: str(value) for key, value in values.items() if value not in ("", None)}
-    level = Level.ERROR if verdict.level is TrustLevel.FAULT else Level.WARN
-    return Report(level, sentence, filled)
+    level = Level.ERROR if fault.level is TrustLevel.FAULT else Level.WARN
+    return Report(level, fault._replace(reason=reason).with_reason, filled)
 
 
 class DiscriminatorNode(SampleNode):
@@ -304,8 +304,9 @@ class DiscriminatorNode(SampleNode):
             self._fault_reason = verdict.reason
         self._judged = verdict
         self.health.count(VERDICTS)
-        self.health.set("level", verdict.level.value)
-        self.health.set("level because", verdict.level_reason)
+        trust = statements_of(verdict).trust
+        self.health.set("level", trust.level.value)
+        self.health.set("level because", trust.reason)
         self.health.set("nominal", verdict.nominal or "none")
         self._verdicts_made += 1
         if self._verdicts_made > self._published_before:

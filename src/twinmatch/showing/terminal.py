@@ -19,7 +19,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, statements_of
 from twinmatch.compiled import told
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
@@ -31,9 +31,7 @@ from twinmatch.showing.verdicts import (
     Event,
     EventKind,
     events_since,
-    fault_words,
     leader_words,
-    level_words,
     missed,
     trust_by_signal,
 )
@@ -206,11 +204,11 @@ def view_on(console: Console, title: str, period: float = 1.0, total: int | None
 
 def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     """Level, leader, nominal, fault and reason, each after its label."""
-    level = TrustLevel.UNKNOWN if verdict is None else verdict.level
+    trust, fault, _ = statements_of(verdict)
+    style = STYLES[trust.level]
     grid = Table.grid(padding=(0, 2, 0, 0))
-    badge = (f" {level.value.upper()} ", f"{STYLES[level]} reverse")
-    words = f"  {level_words(verdict)}"
-    grid.add_row("level", Text.assemble(badge, (words, STYLES[level])))
+    badge = (f" {trust.level.value.upper()} ", f"{style} reverse")
+    grid.add_row("level", Text.assemble(badge, (f"  {trust.reason}", style)))
     if verdict is None:
         grid.add_row("verdict", "none yet")
         return grid
@@ -219,8 +217,8 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     chosen = nominal_score(verdict)
     probable = "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
     grid.add_row("nominal", Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"))
-    if verdict.fault:
-        grid.add_row("fault", Text(fault_words(verdict, period), style=STYLES[TrustLevel.FAULT]))
+    if fault is not None:
+        grid.add_row("fault", Text(fault.with_begin(period), style=STYLES[TrustLevel.FAULT]))
     if verdict.leader is not None:
         grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
