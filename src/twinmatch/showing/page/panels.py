@@ -11,11 +11,11 @@ from twinmatch.comparing import ANYWHERE, Statements, TrustLevel, Verdict, plant
 from twinmatch.description import Quantity, nth
 from twinmatch.offline.summary import trust_range
 from twinmatch.safety import is_limit
-from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
+from twinmatch.showing.family import criterion_rows, family_table_of, outputs_of
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
-from twinmatch.showing.quantities import number, parameter_format, with_unit
+from twinmatch.showing.quantities import number, with_unit
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.verdicts import (
     Event,
@@ -249,23 +249,22 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
 
     A candidate has a row for each of its orders if `all_orders`, else one for the chosen order.
     """
-    if verdict is None or not verdict.candidates:
+    if verdict is None or not verdict.family:
         return NO_CANDIDATE
-    criteria = computed(verdict.modelled)
-    model = verdict.candidates[0].parameters.model
-    matched = [parameter_format(model.plant, name) for name in model.structure.free]
+    table = family_table_of(verdict)
     orders = [("order", "", "")] if verdict.modelled else []
-    columns = [*(for_both(verdict.candidates[0], criteria) if orders else ()), *FIGURES]
+    columns = [*table.criteria, *table.figures]
     head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
-    head += [(q.symbol, q.unit, q.words) for q in matched]
+    head += [(q.symbol, q.unit, q.words) for q in table.parameters]
     lines = []
-    for candidate in verdict.family:
+    for candidate in table.candidates:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
-        figures = [column.text(candidate) for column in FIGURES]
-        figures += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
+        figures = [column.text(candidate) for column in table.figures]
+        figures += [table.parameter(candidate, q) for q in table.parameters]
         both, _ = outputs_of(candidate.orders)[-1]  # both outputs together; in open loop the output alone
-        shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
+        rows = criterion_rows(candidate, table.criteria)
+        shown = [line for line in rows if line.output == both]
         for line in shown or (None,):
             chosen = line is None or line.chosen
             if not (all_orders or chosen):
