@@ -15,7 +15,7 @@ from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.ending import end_in_order
 from twinmatch.launching.judging import Judged, Judging
-from twinmatch.launching.shown import Shown
+from twinmatch.launching.shown import RunShown
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.sampler import SAMPLER, listener_of, source_of
@@ -136,7 +136,7 @@ class Alone:
             pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
         self._listener.open(opened)
-        self._shown = Shown(plan.settings, plan.page, plan.tell)
+        self._shown = RunShown(plan.settings, plan.page, plan.tell)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
         self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._spool = SampleSpool()
