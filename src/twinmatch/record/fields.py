@@ -6,12 +6,13 @@ import dataclasses
 import types
 from enum import Enum, auto
 from functools import cache
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
+from twinmatch.requirements import Requirement
 from twinmatch.signals import OperatingPoint
 
 
@@ -65,6 +66,8 @@ class RecordField:
     """Prefix of the names of an inline object's fields."""
     is_derived: bool = False
     """Whether it is derived from the others, so that it is written but never read."""
+    requirements: tuple[Requirement, ...] = ()
+    """What is expected of its values in a message."""
 
 
 def fields_of(owner: type) -> tuple[RecordField, ...]:
@@ -74,13 +77,13 @@ def fields_of(owner: type) -> tuple[RecordField, ...]:
 
 @cache
 def _fields_of(owner: Any) -> tuple[RecordField, ...]:
-    hints = get_type_hints(owner)
+    hints = get_type_hints(owner, include_extras=True)
     columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
     if dataclasses.is_dataclass(owner):
         columns = {f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)}
     fields = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
     for name in getattr(owner, "DERIVED", ()):
-        returned = get_type_hints(getattr(owner, name).fget)["return"]
+        returned = get_type_hints(getattr(owner, name).fget, include_extras=True)["return"]
         fields.append(dataclasses.replace(_field(owner, name, returned, 0), is_derived=True))
     return tuple(fields)
 
@@ -90,7 +93,8 @@ def values_name(name: str) -> str:
     return f"{name.removesuffix('s')}_values"
 
 
-def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
+def _field(owner: type, name: str, declared: Any, columns: int) -> RecordField:
+    hint, *requirements = get_args(declared) if get_origin(declared) is Annotated else (declared,)
     kind, optional = _unless_none(hint)
     origin = get_origin(kind)
     inside = get_args(kind)
@@ -121,7 +125,7 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
         form = Form.INLINE if _is_named_tuple(owner) else Form.PART
     if form is None:
         raise RecordError(f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded")
-    return RecordField(name, form, kind, optional, columns, prefix)
+    return RecordField(name, form, kind, optional, columns, prefix, requirements=tuple(requirements))
 
 
 def _several(inside: Any) -> tuple[Form, Any]:
