@@ -1,6 +1,6 @@
-"""What is expected of a field of a record: declared beside the field, checked where a message is received.
+"""What is required of a record's field in a message, and how it is written there: declared beside the field.
 
-A declaration is a part of the field's type: `margin: Annotated[float, SHARE]`.
+Declarations are a part of the field's type, such as `margin: Annotated[float, SHARE]`.
 """
 
 from __future__ import annotations
@@ -110,6 +110,43 @@ class Among:
         listed = getattr(message, self.field)
         accepted = {getattr(entry, self.attribute) if self.attribute else entry for entry in listed}
         return unknown_word([value] if isinstance(value, str) else value, accepted, self.kind)
+
+
+@dataclass(frozen=True)
+class RowsOf:
+    """There are as many values as another field has, or that many of each signal."""
+
+    field: str
+    of: str
+    """What that field holds, in words."""
+
+    def problem(self, name: str, value: Any, message: Any, owner: Any) -> str:  # noqa: ARG002
+        """As of every `Requirement`."""
+        rows = len(getattr(message, self.field))
+        if not len(value) or len(value) % rows:
+            return f"{name} has {len(value)} values for {self.of}; expected {rows}, or that of each"
+        return ""
+
+
+@dataclass(frozen=True)
+class SentAs:
+    """How a field is written in a message, where it is not as here."""
+
+    name: str = ""
+    """Its name there; empty: as here."""
+    is_first_bare: bool = False
+    """Whether the first of its parts has that name itself, and the others begin with it: `reach`,
+    `reach_latest`."""
+    is_listed: bool = False
+    """Whether a number is written as a list of one: of each output of a loop."""
+
+
+@dataclass(frozen=True)
+class OfPlant:
+    """A window of the plant of other parameters: so many outputs has each of its samples."""
+
+    parameters: str
+    """Name of the field that holds them."""
 
 
 def unknown_word(words: Any, accepted: set[str], kind: str) -> str:

@@ -25,11 +25,9 @@ from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.law_desk import LawDesk
 from twinmatch.nodes.messages import (
     answer_message,
-    forecast_message,
     message_of,
     question_from,
     record_of,
-    request_message,
     shown_samples,
 )
 from twinmatch.nodes.samples import SampleNode, TwinNode
@@ -99,7 +97,7 @@ class ForecastPublisher:
             if not outlook.parameters.model.is_external:
                 raise
             return  # at the next sample another candidate leads, which can be run
-        self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
+        self._node.publish(self._forecasts, message_of(forecast.at(self._ahead), sample.stamp))
         self._health.set("leader", outlook.candidate)
         self._health.set("forecast from sample", sample.index)
 
@@ -223,7 +221,7 @@ class DiscriminatorNode(SampleNode):
             self._publish_step(step)
         if step.request is not None:
             self._tries = 0
-            self._request(request_message(step.request, self._stamp_of(step.request)))
+            self._request(message_of(step.request, self._stamp_of(step.request)))
         elif self._discriminator.request is None:
             self.health.set("waiting for a match of", "nothing")
             self.health.withdraw("match")

@@ -1,6 +1,7 @@
 """What is expected of every message that a node reads: one table, by its type.
 
-A check raises `MessageError` with a sentence.
+What concerns one field of a record is declared beside that field, with `twinmatch.requirements`. A check
+raises `MessageError` with a sentence.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.comparing import ADMITTED, REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
+from twinmatch.forecasting import Forecast
 from twinmatch.health import EstimatedReading
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
 from twinmatch.nodes.messages import LOOP, nanoseconds, sample_from
 from twinmatch.plants import UnknownPlantError
-from twinmatch.record.fields import Form, fields_of, values_name
-from twinmatch.requirements import FINITE, LARGEST, RISING, Requirement, Within, unknown_word, wrong_size
+from twinmatch.record import SAMPLED
+from twinmatch.record.fields import Form, RecordField, fields_of, values_name
+from twinmatch.requirements import FINITE, Requirement, Within, unknown_word, wrong_size
 from twinmatch.safety import LawReport
-from twinmatch.sessions.encoding import SAMPLED
 from twinmatch.signals import FloatArray, counted, incomplete
 from twinmatch.twin import MatchReport, MatchRequest
 from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
@@ -78,24 +80,34 @@ def check_record(message: Any, kind: type, owner: Any = None) -> None:
         MessageError: a field is not what is expected.
     """
     for field in fields_of(kind):
-        value: Any = getattr(
-            message, field.name, None
-        )  # a span, and what is written inline, have other names
-        if field.form is Form.WORD:
-            _check_word(message, field.name, [member.value for member in field.kind])
-        elif field.form is Form.POINT:
-            _check_point(message, field.name)
-        elif field.form is Form.NAMED:
-            _check_size(message, len(value), values_name(field.name), of=f"its {field.name}")
-        elif field.form is Form.PART:
-            check_record(value, field.kind, message)
-        elif field.form is Form.PARTS:
-            for part in value:
-                check_record(part, field.kind, message)
-        elif field.form is Form.INLINE and not field.prefix:
-            check_record(message, field.kind, owner)
+        _check_form(message, field, owner)
         for requirement in field.requirements:
-            _refuse(requirement.problem(field.name, value, message, owner))
+            for name in _names_of(field):
+                _refuse(requirement.problem(name, getattr(message, name), message, owner))
+        if field.form is Form.BANDS:
+            _check_size(message, len(getattr(message, field.key)), *_names_of(field), of="its means")
+
+
+def _check_form(message: Any, field: RecordField, owner: Any) -> None:
+    """Check what follows from the form of a field, and the parts in it."""
+    if field.form is Form.WORD:
+        _check_word(message, field.key, [member.value for member in field.kind])
+    elif field.form is Form.POINT:
+        _check_point(message, field.key)
+    elif field.form is Form.NAMED:
+        _check_size(message, len(getattr(message, field.key)), values_name(field.key), of=f"its {field.key}")
+    elif field.form is Form.PART:
+        check_record(getattr(message, field.key), field.kind, message)
+    elif field.form is Form.PARTS:
+        for part in getattr(message, field.key):
+            check_record(part, field.kind, message)
+    elif field.form is Form.INLINE and not field.prefix:
+        check_record(message, field.kind, owner)
+
+
+def _names_of(field: RecordField) -> tuple[str, ...]:
+    """The fields of a message with the values of a record's field."""
+    return tuple(field.columns_of_bands.values()) if field.form is Form.BANDS else (field.key,)
 
 
 def _refuse(problem: str) -> None:
@@ -170,22 +182,9 @@ def _check_state(message: Any) -> None:
 
 
 def _check_forecast(message: Any) -> None:
-    bands = [f"{name}{edge}" for name in ("output", "input") for edge in ("", "_low", "_high")]
-    size = len(message.time)
-    if not size:
+    if not len(message.time):
         raise MessageError("time is empty; a forecast has at least one")
-    for name in ("reference", "output", "input"):
-        values = len(getattr(message, name))
-        if not values or values % size:
-            raise MessageError(f"{name} has {values} values for its times; expected {size}, or that of each")
-    for name in bands:
-        values = len(getattr(message, name.split("_", maxsplit=1)[0]))
-        _check_size(message, values, name, of="its means")
-    _check_each(message, RISING, "time")
-    _check_each(message, FINITE, *bands)
-    # A twin whose loop is not known assumes inputs.
-    _check_each(message, Within(-LARGEST, LARGEST), "reference")
-    _check_each(message, Within(0.0, 1.0, may_be_absent=False), "confidence")
+    check_record(message, Forecast)
 
 
 def _check_match(message: Any) -> None:
@@ -277,7 +276,7 @@ def _check_request(message: Any) -> None:
 
 def _request_with_stamp(message: Any) -> tuple[MatchRequest, int]:
     """A request and its stamp, ns."""
-    request = converted.request_from(message)
+    request = converted.record_of(message)
     if request.window.last > request.sample:
         raise MessageError(f"its window ends behind its sample {request.sample}")
     return request, nanoseconds(message.header.stamp)
@@ -424,7 +423,7 @@ class MessageRules(NamedTuple):
 MESSAGES: Final[dict[Any, MessageRules]] = {
     ours.LoopSample: MessageRules(_check_sample, sample_from, _sample_departs),
     ours.TwinState: MessageRules(_check_state),
-    ours.Forecast: MessageRules(_check_forecast, converted.forecast_from),
+    ours.Forecast: MessageRules(_check_forecast, converted.record_of),
     ours.Match: MessageRules(_check_match, converted.record_of),
     ours.MatchRequest: MessageRules(_check_request, _request_with_stamp),
     ours.ModelScore: MessageRules(_check_verdict, converted.record_of),

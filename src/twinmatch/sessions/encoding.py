@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from functools import cache
 from typing import Any, Final
 
 from mcap_ros2._dynamic import serialize_dynamic
 
 from twinmatch.description import Description
-from twinmatch.record import Tree
+from twinmatch.record import Tree, tree_of
 from twinmatch.sessions.messages import Qos, Topic, fields_of, topic_of
 from twinmatch.signals import NANOSECONDS
 
-SAMPLED: Final = {
-    "reference": "references",
-    "output": "outputs",
-    "input": "inputs",
-    "disturbances": "disturbances",
-}
-"""Fields of samples, windows and descriptions by their names in messages."""
 _KINDS: Final = {
     "/twin/match": ("Match", Qos(depth=1000)),
     "/twin/model_score": ("ModelScore", Qos(depth=1000)),
@@ -52,9 +44,7 @@ def encode(topic: Topic, tree: Tree, stamp: int | None = None) -> bytes:
 
 def description_tree(description: Description, period: float) -> Tree:
     """A plant as in `PlantDescription`; `period` (s) is the sampling period it is run with."""
-    names = {field: name for name, field in SAMPLED.items()}
-    tree = {names.get(n, n): list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
-    return tree | {"period": period}
+    return tree_of(description) | {"period": period}
 
 
 @cache

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image
 from twinmatch.description import UNDESCRIBED
 from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import PLANT_REPORT, Level, Report
-from twinmatch.nodes.messages import description_from, nanoseconds
+from twinmatch.nodes.messages import nanoseconds, record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
@@ -137,7 +137,7 @@ class Dashboard(TwinmatchNode):
         return end_in_order(*shown, super().close)
 
     def _on_description(self, message: PlantDescription) -> None:
-        self.state.describe(description_from(message))
+        self.state.describe(record_of(message))
         if not self.values["config"] and message.plant != self._settings.plant.name:
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 
