@@ -21,13 +21,13 @@ from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.sampler import SAMPLER, listener_of, source_of
 from twinmatch.parameters.twin import values_of
 from twinmatch.plants.records import description_of
-from twinmatch.record import Tree, tree_of
+from twinmatch.record import Tree, description_tree, tree_of
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.listener import SEARCH, Open
 from twinmatch.sampling.sampler import TIMER
 from twinmatch.sessions import Recording, RecordingLimits
-from twinmatch.sessions.encoding import description_tree, encode, topic_named
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode, encode_sample
+from twinmatch.sessions.messages import SAMPLE, topic_named
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.sessions.recording import FLUSH
 from twinmatch.sessions.spool import SampleSpool

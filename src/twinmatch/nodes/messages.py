@@ -21,6 +21,7 @@ from twinmatch.forecasting import Forecast, Question, WhatIfResult
 from twinmatch.health import EstimatedReading
 from twinmatch.record import (
     SAMPLED,
+    description_tree,
     fill,
     object_of,
     parameters_of,
@@ -29,7 +30,6 @@ from twinmatch.record import (
     tree_of_message,
 )
 from twinmatch.safety import LawReport
-from twinmatch.sessions.encoding import description_tree
 from twinmatch.signals import NANOSECONDS, Sample, SignalError
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch.twin.experiment import ExperimentReport

@@ -22,7 +22,7 @@ from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.record import SAMPLED
-from twinmatch.sessions.messages import decode_sample, encode_sample
+from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past

@@ -13,6 +13,7 @@ from twinmatch.record.fields import SAMPLED
 from twinmatch.record.trees import (
     Tree,
     comparable,
+    description_tree,
     differences,
     document_of,
     fill,
@@ -28,6 +29,7 @@ __all__ = [
     "SAMPLED",
     "Tree",
     "comparable",
+    "description_tree",
     "differences",
     "document_of",
     "fill",

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from twinmatch.description import Description
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
@@ -105,6 +106,11 @@ def tree_of_message(message: Any) -> Tree:
         elif f"{name}_name" not in names:
             tree[name] = _plain(value)
     return tree
+
+
+def description_tree(description: Description, period: float) -> Tree:
+    """A plant as in `PlantDescription`; `period` (s) is the sampling period it is run with."""
+    return tree_of(description) | {"period": period}
 
 
 def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
