@@ -1,6 +1,7 @@
 """What is required of a record's field in a message, and how it is written there: declared beside the field.
 
-Declarations are a part of the field's type, such as `margin: Annotated[float, SHARE]`.
+Declarations are a part of the field's type, such as `margin: Annotated[float, SHARE]`. Those with values are
+named tuples, since the pages on the interface show a dataclass in a type as if its texts were names.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 LARGEST: Final = 1e12
 """Largest magnitude of a signal, in any unit."""
@@ -29,8 +30,7 @@ class Requirement(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class Within:
+class Within(NamedTuple):
     """Numbers are in a range; NaN passes where a number may be absent."""
 
     low: float
@@ -70,8 +70,7 @@ class Rising:
         return ""
 
 
-@dataclass(frozen=True)
-class Sized:
+class Sized(NamedTuple):
     """There are as many values as another field has."""
 
     by: str
@@ -95,8 +94,7 @@ class Sized:
         return ""
 
 
-@dataclass(frozen=True)
-class Among:
+class Among(NamedTuple):
     """Words are among those of another field, or empty."""
 
     field: str
@@ -112,8 +110,7 @@ class Among:
         return unknown_word([value] if isinstance(value, str) else value, accepted, self.kind)
 
 
-@dataclass(frozen=True)
-class RowsOf:
+class RowsOf(NamedTuple):
     """There are as many values as another field has, or that many of each signal."""
 
     field: str
@@ -128,8 +125,7 @@ class RowsOf:
         return ""
 
 
-@dataclass(frozen=True)
-class SentAs:
+class SentAs(NamedTuple):
     """How a field is written in a message, where it is not as here."""
 
     name: str = ""
@@ -141,8 +137,7 @@ class SentAs:
     """Whether a number is written as a list of one: of each output of a loop."""
 
 
-@dataclass(frozen=True)
-class OfPlant:
+class OfPlant(NamedTuple):
     """A window of the plant of other parameters: so many outputs has each of its samples."""
 
     parameters: str
