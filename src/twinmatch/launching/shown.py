@@ -97,7 +97,7 @@ class RunShown(Shown):
         self.state.push_health(f"{name}: health", *report, {}, time.monotonic())
 
     def tell(self) -> str | None:
-        """Do what a `Shown` does, and show why the broker cannot be told."""
+        """Do what a `Shown` does, and show why nothing reaches the broker."""
         trouble = super().tell()
         if trouble is not None:
             self.trouble("broker", trouble)

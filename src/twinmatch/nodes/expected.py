@@ -123,7 +123,7 @@ def _check_size(message: Any, size: int, *names: str, of: str, empty: bool = Fal
 
 
 def _check_each(message: Any, requirement: Requirement, *names: str) -> None:
-    """Check fields of a message that is no record."""
+    """Check fields of a message that is not a record."""
     for name in names:
         _refuse(requirement.problem(name, getattr(message, name), message, None))
 

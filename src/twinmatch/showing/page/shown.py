@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Shown:
-    """Shows a state to those who look; whoever receives samples and verdicts puts them into it."""
+    """Shows a state to those who look; the program that receives samples and verdicts puts them into it."""
 
     def __init__(self, described: Description, settings: Callable[[], TwinSettings]) -> None:
         """Begin with an empty state of a plant, shown to nobody; `settings` returns those of the twin."""
@@ -62,7 +62,7 @@ class Shown:
     def tell(self) -> str | None:
         """Summarise after a new verdict, and tell the broker what is new; to be called about once a second.
 
-        Returns why the broker cannot be told, which is empty if it can; None without a broker.
+        Returns why nothing reaches the broker, or an empty text; None without a broker.
         """
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
