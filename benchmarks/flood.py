@@ -30,7 +30,7 @@ from sensor_msgs.msg import Temperature
 from benchmarks.soak import Soak, _family, _resident
 from twinmatch.emulation.faults import tell
 from twinmatch.nodes import network
-from twinmatch.nodes.messages import request_message, sample_message
+from twinmatch.nodes.messages import message_of, sample_message
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchRequest
@@ -59,7 +59,7 @@ def forged(kind: str, begun: int) -> Iterator[Any]:
     steady = np.full(300, 30.0)
     window = Window(steady, steady, steady)
     asked = MatchRequest(299, 30.0, window, Peltier.model().parameters(), None)
-    request = request_message(asked, begun)
+    request = message_of(asked, begun)
     score = ModelScore(level=ModelScore.UNKNOWN, level_name="unknown", decimals=2)
     for k in range(sys.maxsize):
         if kind == "samples":

@@ -18,7 +18,8 @@ from tests.support.verdicts import LED
 from twinmatch.errors import TwinmatchError
 from twinmatch.printing import one_line, original, printable, printable_output
 from twinmatch.sessions import SessionWriter
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.terminal import Screen

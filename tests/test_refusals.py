@@ -13,7 +13,8 @@ from tests.support.places import SHIPPED
 from tests.support.processes import run_twinmatch
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.sessions import SessionWriter, samples_of, write_session
-from twinmatch.sessions.messages import REFERENCE, encode_float64
+from twinmatch.sessions.cdr import encode_float64
+from twinmatch.sessions.messages import REFERENCE
 from twinmatch.signals import Window
 
 ONE = "candidates:\n  - {name: a, operating_point: 50"

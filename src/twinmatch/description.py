@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
+from twinmatch.requirements import SentAs
 from twinmatch.signals import one_of_each
 
 
@@ -48,9 +50,9 @@ class Description:
     """Name, such as peltier."""
     title: str
     """Displayed name."""
-    references: tuple[Quantity, ...]
-    outputs: tuple[Quantity, ...]
-    inputs: tuple[Quantity, ...]
+    references: Annotated[tuple[Quantity, ...], SentAs("reference")]
+    outputs: Annotated[tuple[Quantity, ...], SentAs("output")]
+    inputs: Annotated[tuple[Quantity, ...], SentAs("input")]
     disturbances: tuple[Quantity, ...] = ()
     states: tuple[Quantity, ...] = ()
     """States of a twin, in the order of messages."""

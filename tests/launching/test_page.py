@@ -28,7 +28,8 @@ from twinmatch.launching.plan import LivePlan
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.summary import Tally, conclude, summarise
 from twinmatch.sessions import Recording, read_session
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MAX_EVENTS, Screen
 from twinmatch.showing.verdicts import events

@@ -25,16 +25,11 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import (
-    description_from,
     description_message,
-    forecast_from,
-    forecast_message,
     message_of,
     parameters_from,
     parameters_message,
     record_of,
-    request_from,
-    request_message,
     sample_from,
     sample_message,
     state_message,
@@ -183,9 +178,9 @@ def requests(draw: st.DrawFn) -> MatchRequest:
 def test_a_request_for_a_match_survives_its_message_with_its_window(
     request: MatchRequest, stamp: int
 ) -> None:
-    message = there_and_back(request_message(request, stamp))
+    message = there_and_back(message_of(request, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
-    converted = request_from(message)
+    converted = record_of(message)
     same(converted.window, request.window)
     assert repr(converted._replace(window=None)) == repr(request._replace(window=None))
 
@@ -291,11 +286,11 @@ def test_a_description_is_carried_whole() -> None:
     whole = replace(description_of(Peltier), disturbances=(Quantity("room", "air", "°C"),))
     message = there_and_back(description_message(whole, 0.5))
     assert message.period == 0.5
-    assert description_from(message) == whole
+    assert record_of(message) == whole
     two = description_of(Heaters)
     assert [y.name for y in two.outputs] == ["first", "second"]
     assert [r.name for r in two.references] == ["set-point of first", "set-point of second"]
-    assert description_from(there_and_back(description_message(two, 0.5))) == two
+    assert record_of(there_and_back(description_message(two, 0.5))) == two
     with pytest.raises(SignalError, match="output: there are 2 of them"):
         _ = two.output
     message.input = []
@@ -309,20 +304,20 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
     foretold = Forecast(
         3, "c", "s", 0.9, np.arange(1.0, 5.0), rows[:2].T, tuple(bands[:2]), tuple(bands[2:5])
     )
-    message = there_and_back(forecast_message(foretold, 5))
+    message = there_and_back(message_of(foretold, 5))
     check(message)
     assert list(message.output) == [0.0, 4.0, 1.0, 5.0, 2.0, 6.0, 3.0, 7.0]
-    assert repr(forecast_from(message)) == repr(foretold)
-    part = forecast_from(forecast_message(foretold, 5, (1, 4)))
+    assert repr(record_of(message)) == repr(foretold)
+    part = record_of(message_of(foretold.at((1, 4)), 5))
     assert [band.low.tolist() for band in part.outputs] == [[-0.5, 2.5], [3.5, 6.5]]
     driven = replace(foretold, references=np.full((4, 2), np.nan))  # of a twin whose loop is not known
-    message = there_and_back(forecast_message(driven, 5))
+    message = there_and_back(message_of(driven, 5))
     check(message)
-    assert repr(forecast_from(message)) == repr(driven)
+    assert repr(record_of(message)) == repr(driven)
     message.reference[0] = math.inf
     with pytest.raises(MessageError, match="reference is inf; expected"):
         check(message)
-    message = there_and_back(forecast_message(foretold, 5))
+    message = there_and_back(message_of(foretold, 5))
     message.output = [1.0] * 7
     with pytest.raises(MessageError, match="output has 7 values for its times; expected 4, or that of each"):
         check(message)

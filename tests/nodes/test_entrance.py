@@ -40,7 +40,7 @@ from twinmatch.launching.watch import Settled, Watch
 from twinmatch.nodes.entrance import ALONE, Course, Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
-from twinmatch.nodes.messages import message_of, request_message, sample_message
+from twinmatch.nodes.messages import message_of, sample_message
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.topics import EVERYTHING, NEWEST
 from twinmatch.nodes.twin import MAX_WAITING
@@ -597,7 +597,7 @@ def test_a_flood_of_sound_messages_is_not_queued(
 def sound_request(sample: int) -> messages.MatchRequest:
     window = Window(*(np.full(300, 30.0) for _ in range(3)), first=sample)
     asked = MatchRequest(sample + 299, 30.0, window, Peltier.model().parameters(), None)
-    return request_message(asked, 0)
+    return message_of(asked, 0)
 
 
 def of_plant(name: str, message: Any) -> Any:

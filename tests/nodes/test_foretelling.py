@@ -13,7 +13,6 @@ from tests.support.ros import Listener
 from twinmatch.forecasting import Question, what_if
 from twinmatch.nodes.messages import (
     answer_message,
-    forecast_message,
     message_of,
     shown_samples,
 )
@@ -51,7 +50,7 @@ class Offline:
         outlook = snapshot.outlook()
         ahead = shown_samples(1.0, self.discriminator.forecaster.horizons)
         forecast = outlook.forecast(np.full(ahead[-1], outlook.sample.reference))
-        self.forecasts.append(forecast_message(forecast, outlook.sample.stamp, ahead))
+        self.forecasts.append(message_of(forecast.at(ahead), outlook.sample.stamp))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.keeper import RunStore
 from twinmatch.nodes.past import Copies, RecorderPast, Stream, samples_of_answer, values_of
-from twinmatch.sessions.messages import encode_sample
+from twinmatch.sessions.cdr import encode_sample
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past

@@ -36,8 +36,9 @@ from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.recorder import Arrivals
 from twinmatch.nodes.topics import LATCHED, RELIABLE, offered, profile_of, wanted
 from twinmatch.sessions import Qos, Session, SessionError, read_session, recording
+from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.files import EXIT_DISK
-from twinmatch.sessions.messages import SAMPLE, decoded, schema_of
+from twinmatch.sessions.messages import SAMPLE, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample

@@ -17,13 +17,19 @@ from hypothesis import strategies as st
 from tests.support.places import PROJECT
 from twinmatch.comparing import CandidateScore, ForecastScore, OrderScore, TrustLevel, Verdict
 from twinmatch.comparing.criteria import Criteria
+from twinmatch.description import Description, Quantity
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import without_fit
+from twinmatch.forecasting import Band, Forecast, WhatIfResult
+from twinmatch.forecasting.what_if import Moment, Peak
+from twinmatch.health import EstimatedReading
 from twinmatch.plants import Peltier
-from twinmatch.record import comparable, differences, document_of, object_of, tree_of
+from twinmatch.record import SAMPLED, comparable, differences, document_of, object_of, tree_of
 from twinmatch.record.fields import Form, RecordError, fields_of, values_name
+from twinmatch.safety import LawReport
 from twinmatch.signals import Window
-from twinmatch.twin import MatchReport
+from twinmatch.twin import MatchReport, MatchRequest
+from twinmatch.twin.experiment import ExperimentReport
 
 METHOD = (PROJECT / "docs" / "method.md").read_text()
 RECORDS = {
@@ -34,7 +40,19 @@ RECORDS = {
     "Criteria": Criteria,
     "Match": MatchReport,
 }
+SENT = {
+    **RECORDS,
+    "EstimatedReading": EstimatedReading,
+    "ExperimentReport": ExperimentReport,
+    "Forecast": Forecast,
+    "LawReport": LawReport,
+    "MatchRequest": MatchRequest,
+    "PlantDescription": Description,
+    "Signal": Quantity,
+}
 OF_THE_MESSAGE = {"header"}
+BESIDE = {"PlantDescription": {"period"}}
+"""Fields of a message that its record does not have: the period is that of a run, not of a plant."""
 CRITERIA = Criteria(100, 90, 10, 0.1, 1.0, 2.0, 3.0, 4.0)
 CANDIDATE = CandidateScore(
     name="50 °C",
@@ -84,25 +102,29 @@ def entries(kind: type) -> set[str]:
     names: set[str] = set()
     for field in fields_of(kind):
         if field.form is Form.WORD:
-            names |= {field.name, f"{field.name}_name"}
+            names |= {field.key, f"{field.key}_name"}
         elif field.form is Form.SPAN:
             names |= {"first", "last"}
         elif field.form is Form.NAMED:
-            names |= {field.name, values_name(field.name)}
+            names |= {field.key, values_name(field.key)}
+        elif field.form is Form.BANDS:
+            names |= set(field.columns_of_bands.values())
+        elif field.form is Form.WINDOW:
+            names |= {*SAMPLED, "first", "period", "lost"}
         elif field.form is Form.INLINE:
-            names |= {f"{field.prefix}{name}" for name in entries(field.kind)}
+            names |= {field.key_inside(name) for name in entries(field.kind)}
         else:
-            names.add(field.name)
+            names.add(field.key)
     return names
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("name", SENT)
 def test_the_message_has_the_fields_of_the_record(name: str) -> None:
     """A field of the one that the other lacks is found here, whichever it is."""
     text = (PROJECT / "src" / "twinmatch_msgs" / "msg" / f"{name}.msg").read_text()
     lines = (line.partition("#")[0].split() for line in text.splitlines())
     field_names = {words[1] for words in lines if len(words) == 2 and "=" not in words[1]}
-    assert field_names - OF_THE_MESSAGE == entries(RECORDS[name])
+    assert field_names - OF_THE_MESSAGE - BESIDE.get(name, set()) == entries(SENT[name])
 
 
 @pytest.mark.parametrize("name", RECORDS)
@@ -110,6 +132,28 @@ def test_the_method_says_how_to_read_every_field(name: str) -> None:
     documented = set(re.findall(r"`(\w+)`", METHOD))
     missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - documented
     assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
+
+
+def test_an_answer_to_a_question_has_the_fields_of_its_record() -> None:
+    text = (PROJECT / "src" / "twinmatch_msgs" / "srv" / "WhatIf.srv").read_text().partition("---")[2]
+    field_names = {line.split()[1] for line in text.splitlines() if line.partition("#")[0].strip()}
+    assert field_names - {"success", "message"} == entries(WhatIfResult)
+
+
+def test_an_answer_names_what_happens_first_by_its_own_name_and_a_single_level_in_a_list() -> None:
+    band = Band(np.array([1.0, 2.0]), np.array([0.5, 1.5]), np.array([1.5, 2.5]))
+    forecast = Forecast(7, "c", "s", 0.9, np.array([1.0, 2.0]), np.array([3.0, 3.0]), (band, band), (band,))
+    answer = WhatIfResult(
+        forecast, 2.0, 0.5, Moment(1.0, None, 2.0), Moment(2.0, 2.0, None), Peak(2.0, 2.0, 1.5, 2.5)
+    )
+    tree = tree_of(answer)
+    assert (tree["level"], tree["reach"], tree["reach_latest"], tree["largest_input_most"]) == (
+        *([2.0], 1.0, 2.0),
+        2.5,
+    )
+    assert math.isnan(tree["reach_earliest"])
+    assert tree["forecast"]["output_low"] == [0.5, 0.5, 1.5, 1.5], "sample by sample"
+    assert repr(object_of(WhatIfResult, tree)) == repr(answer)
 
 
 def test_records_survive_their_trees() -> None:

@@ -25,7 +25,8 @@ from twinmatch.cli.shared import open_shown
 from twinmatch.errors import TwinmatchError
 from twinmatch.memory import Memory
 from twinmatch.sessions import read_session, write_session
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.recording import repair_session
 from twinmatch.sessions.records import MAGIC, Walk
 from twinmatch.sessions.scan import Scan

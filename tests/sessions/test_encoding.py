@@ -13,10 +13,10 @@ from twinmatch.nodes.messages import description_message, message_of
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import PLANTS
 from twinmatch.plants.records import description_of
-from twinmatch.record import tree_of
+from twinmatch.record import description_tree, tree_of
 from twinmatch.sessions import read_session
-from twinmatch.sessions.encoding import description_tree, encode, topic_named
-from twinmatch.sessions.messages import schema_of
+from twinmatch.sessions.cdr import encode
+from twinmatch.sessions.messages import schema_of, topic_named
 from twinmatch_msgs.msg import Match, ModelScore, PlantDescription
 
 pytestmark = pytest.mark.ros

@@ -22,13 +22,8 @@ from twinmatch.offline.judging import recorded_terms
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionError, read_session, write_session
-from twinmatch.sessions.messages import (
-    SAMPLE,
-    decode_sample,
-    encode_float64,
-    encode_sample,
-    encode_temperature,
-)
+from twinmatch.sessions.cdr import decode_sample, encode_float64, encode_sample, encode_temperature
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.metadata import METADATA
 from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample

@@ -9,7 +9,8 @@ import pytest
 from twinmatch.offline.archive import find_sessions
 from twinmatch.offline.archive.files import content_of
 from twinmatch.sessions import SessionError, SessionWriter, read_session
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.metadata import CONTINUES
 from twinmatch.signals import Sample
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
-from twinmatch.sessions.messages import REFERENCE, SAMPLE, encode_float64, encode_sample
+from twinmatch.sessions.cdr import encode_float64, encode_sample
+from twinmatch.sessions.messages import REFERENCE, SAMPLE
 from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
 from twinmatch.sessions.scan import MAGIC, Scan
 from twinmatch.signals import Sample, SignalError

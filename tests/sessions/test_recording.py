@@ -21,7 +21,8 @@ from rosbags.rosbag2 import Reader
 
 from tests.support.processes import kill_once_it_says
 from twinmatch.sessions import SessionError, SessionWriter, read_session, samples_of, write_session
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE
 from twinmatch.sessions.recording import EPOCH, DiskFullError, Recording, RecordingLimits
 from twinmatch.signals import Sample, Window
 

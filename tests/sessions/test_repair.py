@@ -20,7 +20,8 @@ from rosbags.rosbag2 import Reader
 from twinmatch.cli import main
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
 from twinmatch.sessions import recording as repairing
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.recording import repair_session
 from twinmatch.sessions.records import MAGIC, Walk
 from twinmatch.signals import Sample
@@ -257,7 +258,8 @@ def test_the_command_says_what_was_saved(tmp_path, capsys):
 
 RECORDER = """
 import sys
-from twinmatch.sessions.messages import SAMPLE, Sample, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE, Sample
 from twinmatch.sessions.writer import SessionWriter
 with SessionWriter(sys.argv[1]) as writer:
     writer.add_topic(SAMPLE)

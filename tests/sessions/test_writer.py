@@ -11,7 +11,8 @@ from mcap.reader import make_reader
 
 from tests.support.processes import kill_once_it_says
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE
 from twinmatch.signals import Sample
 
 IMAGE = Topic(
@@ -168,7 +169,7 @@ def test_a_killed_recorder_loses_nothing_that_was_flushed(tmp_path):
     program = """
         import sys, time
         from twinmatch.sessions import SessionWriter
-        from twinmatch.sessions.messages import encode_sample
+        from twinmatch.sessions.cdr import encode_sample
         from twinmatch.sessions.messages import SAMPLE
         from twinmatch.signals import Sample
 

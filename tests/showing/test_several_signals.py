@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tests.showing.test_terminal import last_screen, shown
 from twinmatch.cli import main
-from twinmatch.comparing import TrustLevel
+from twinmatch.comparing import TrustLevel, statements_of
 from twinmatch.description import Quantity
 from twinmatch.health import EstimatedReading
 from twinmatch.offline.judging import Judgement
@@ -31,7 +31,7 @@ def test_the_summary_names_every_output(two: Judgement) -> None:
     assert two.summary.fits is not None
     first, second = two.summary.fits.outputs
     trusted = next(v for v in reversed(two.verdicts) if v.level is TrustLevel.TRUSTED)
-    summed_up = sentence(replace(two.summary, level=trusted.level, why=trusted.level_reason))
+    summed_up = sentence(replace(two.summary, trust=statements_of(trusted).trust))
     assert f"{T1} fit {100 * first:.1f} %, {T2} fit {100 * second:.1f} %" in summed_up
     assert f"°C of {T1}" in summed_up
     assert summed_up.endswith(f"Faults: sensor-drift of {T2} since 1500 s.")

@@ -15,7 +15,7 @@ import pytest
 from tests.support.plants import Tank
 from tests.support.rig import rig
 from tests.support.verdicts import CANDIDATE, LED, NONE_YET, verdict
-from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
+from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, TrustStatement, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status
 from twinmatch.offline.summary import LevelStretch, SessionSummary, Tally, TrustRange, summarise, trust_range
@@ -263,11 +263,11 @@ def test_stretches_of_trust_and_faults_begin_and_end_with_their_samples(
 
 
 SINK = Peltier.model("sink with mass").parameters()
+TRUST = TrustStatement(TrustLevel.TRUSTED, "", (10.0, 60.0, 300.0))
 SUMMARY = SessionSummary(
     leader="50 °C",
     nominal="70 °C",
-    level=TrustLevel.TRUSTED,
-    trusted=(10.0, 60.0, 300.0),
+    trust=TRUST,
     parameters=rig(),
     fit_y=0.9881,
     fit_u=0.9,
@@ -282,10 +282,12 @@ SUMMARY = SessionSummary(
 FIT = "temperature fit 98.8 %"
 HELD = "10, 60 and 300 s ahead between 25 and 92 °C"
 ARX = "10 s ahead its forecasts are worse than saying that nothing changes, with 1.10 times the error"
-NONE = {"leader": None, "nominal": None, "level": UNKNOWN}
+UNTOLD = TRUST._replace(level=UNKNOWN)
+NONE = {"leader": None, "nominal": None, "trust": UNTOLD}
+LOST_NOW = TRUST._replace(level=FAULT, reason="the plant shows drive-lost")
 NO_MATCH = "No twin to trust yet: 5 verdicts, but no valid match."
 LOST = LevelStretch(310, 400, FAULT, "drive-lost")
-SINCE = {"level": FAULT, "why": "the plant shows drive-lost", "stretches": (LOST, LOST)}
+SINCE = {"trust": LOST_NOW, "stretches": (LOST, LOST)}
 OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
 
 
@@ -300,11 +302,15 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
         ({"closed": False}, f"Leader: match near 50 °C; trust it {HELD}; {FIT}."),
         ({"leader": None}, f"Nominal: match at 70 °C; trust it {HELD}; {FIT}."),
         (
-            {"trusted": (60.0, 300.0), "doubts": ARX},
+            {"trust": TRUST._replace(horizons=(60.0, 300.0), doubts=ARX)},
             f"Leader: match at 50 °C; trust it 60 and 300 s ahead between 25 and 92 °C, but {ARX}; {FIT}.",
         ),
         (
-            {"level": DOUBTFUL, "why": "no match explains the newest window", "doubts": ARX},
+            {
+                "trust": TRUST._replace(
+                    level=DOUBTFUL, reason="no match explains the newest window", doubts=ARX
+                )
+            },
             "Leader: match at 50 °C; doubtful now: no match explains the newest window "
             f"(its forecasts held {HELD}); {FIT}.",
         ),
@@ -327,9 +333,12 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
             "(temperature fit −100.3 %).",
         ),
         ({"range": None}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
-        ({"trusted": ()}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
         (
-            {"level": UNKNOWN, "why": "its input acts late"},
+            {"trust": TRUST._replace(horizons=())},
+            f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}.",
+        ),
+        (
+            {"trust": UNTOLD._replace(reason="its input acts late")},
             f"Leader: match at 50 °C; how far to trust it is not known yet: its input acts late; {FIT}.",
         ),
         (
@@ -340,13 +349,16 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
             {**NONE, "closed": False},
             f"{NO_MATCH} The input has to move far above its noise, for some minutes in total.",
         ),
-        ({**NONE, "why": "its input acts late"}, f"{NO_MATCH} Its input acts late."),
+        (
+            {**NONE, "trust": UNTOLD._replace(reason="its input acts late")},
+            f"{NO_MATCH} Its input acts late.",
+        ),
         (
             {**NONE, "refusal": "match refused: C ended on 5 J/K", **OVER},
             f"{NO_MATCH} Match refused: C ended on 5 J/K. Faults: drive-lost from 310 to 400 s.",
         ),
         (
-            {**NONE, "level": FAULT, "why": "the plant shows drive-lost"},
+            {**NONE, "trust": LOST_NOW},
             "No twin to trust yet: the plant shows drive-lost. Look at the plant first.",
         ),
     ],

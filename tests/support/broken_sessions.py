@@ -15,13 +15,8 @@ from mcap.records import Channel, Chunk, ChunkIndex, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
-from twinmatch.sessions.messages import (
-    SAMPLE,
-    TEMPERATURE_READING,
-    decode_sample,
-    encode_sample,
-    encode_temperature,
-)
+from twinmatch.sessions.cdr import decode_sample, encode_sample, encode_temperature
+from twinmatch.sessions.messages import SAMPLE, TEMPERATURE_READING
 from twinmatch.signals import NANOSECONDS, Sample
 
 _BLOCK: Final = 512

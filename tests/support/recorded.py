@@ -12,7 +12,8 @@ from rclpy.serialization import serialize_message
 from tests.support.waiting import wait_for
 from twinmatch.nodes.messages import message_of
 from twinmatch.sessions import Qos, Session, SessionError, SessionWriter, Topic, read_session
-from twinmatch.sessions.messages import SAMPLE, encode_sample, schema_of
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome

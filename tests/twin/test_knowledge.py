@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from tests.support.rig import rig
-from twinmatch.comparing import ForecastScore, TrustLevel, Verdict
+from twinmatch.comparing import Candidate, ForecastScore, TrustLevel, Verdict
 from twinmatch.health import Fault, Health, HealthState
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
-from twinmatch.twin import Outcome, Twin
-from twinmatch.twin.candidates import UNSCORED
+from twinmatch.twin import ForecastSettings, Outcome, Twin, TwinSettings
+from twinmatch.twin.candidates import CandidatePool
+from twinmatch.twin.entrants import Standings
 from twinmatch.twin.knowledge import Knowledge, MatchResult, trust_of, verdict_of
 from twinmatch.twin.mirror import Residuals
-from twinmatch.twin.trust import BandCheck
+from twinmatch.twin.structures import StructureChoice
+from twinmatch.twin.trust import BandCheck, BandHistory
 
 INSIDE = BandCheck(0.6, 0.9, 0.6, 0.9)
 OUTSIDE = BandCheck(0.6, 0.9, 3.0, 0.1)
@@ -58,14 +62,55 @@ def compared(errors: tuple[float, float], errs: float, coverage: tuple[float, fl
     return ForecastScore("leader", rig(), 0, 299, 5.0, (5.0,), 7.0, *skills, *highs, share, number)
 
 
-def knowledge(**changes: Any) -> Knowledge:
+class Given(Standings):
+    """Standings with these scores; the candidate called `leader` leads."""
+
+    def __init__(self, scores: Sequence[ForecastScore]) -> None:
+        super().__init__()
+        self._given = tuple(scores)
+
+    @property
+    def leader(self) -> str | None:
+        return "leader"
+
+    @property
+    def scores(self) -> tuple[ForecastScore, ...]:
+        return self._given
+
+
+class Said(NamedTuple):
+    """What a monitor says beside its judgement."""
+
+    reservation: str = ""
+    doubt: str = ""
+
+
+def knowledge(
+    forecasts: Sequence[ForecastScore] | None = None,
+    *,
+    remembered: bool = False,
+    structure: str = "",
+    outside: bool = False,
+    miss_since: int | None = None,
+    reservation: str = "",
+    doubt: str = "",
+    **changes: Any,
+) -> Knowledge:
+    """At a sample at which nothing speaks against the leader, but for these changes."""
+    settings = TwinSettings(forecasts=ForecastSettings(horizons=(10.0, 60.0)))
+    known_before = Candidate("leader", 50.0, rig(), None, ("seebeck",), np.full((1, 1), 1e-6))
+    before = [known_before] if remembered else []
+    pool = CandidatePool(settings, lambda *_: False, before)
+    pool.forecaster.standings = Given((score(),) if forecasts is None else forecasts)
+    if structure:
+        pool.structures.choice = StructureChoice((), structure, (0, 299))
+    history = BandHistory(2.0, 0.1)
+    history.lasts = outside
+    history.since = miss_since
     fields: dict[str, Any] = {
         **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
-        **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
-        **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "outside": False},
-        **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
-        **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
-        **{"trusted": (), "alone": {}},
+        **{"pool": pool, "bands": INSIDE, "history": history, "residuals": Residuals(0.5, 7.0)},
+        **{"health": None, "monitor": Said(reservation, doubt), "trusted": (), "decimals": 2},
     }
     return Knowledge(**fields | changes)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twinmatch.comparing import Verdict
 from twinmatch.fitting import match
 from twinmatch.forecasting import StateFilter
-from twinmatch.nodes.messages import request_from, request_message
+from twinmatch.nodes.messages import message_of, record_of
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, SignalError, Window
@@ -240,11 +240,11 @@ def test_a_window_says_what_it_holds_wherever_it_goes(simulated_session: list[Sa
     assert window.part(7, 9).seen is None
     start = Peltier.model().parameters()
     request = MatchRequest(19, 30.0, window, start, None)
-    decoded = request_from(request_message(request, 0))
+    decoded = record_of(message_of(request, 0))
     np.testing.assert_array_equal(decoded.window.seen, window.seen)
-    message = request_message(request, 0)
+    message = message_of(request, 0)
     message.lost = [99]
     with pytest.raises(SignalError, match=r"lost samples \[99\] lie outside its window of 20 samples"):
-        request_from(message)
+        record_of(message)
     with pytest.raises(SignalError, match=r"seen has shape \(2,\); give one truth value for each of 20"):
         replace(window, seen=np.array([True, False]))

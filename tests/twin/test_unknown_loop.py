@@ -16,7 +16,8 @@ from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.record import tree_of
 from twinmatch.sessions import SessionWriter
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
 

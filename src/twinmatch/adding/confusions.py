@@ -19,12 +19,12 @@ from twinmatch.adding.trial import middle_of
 from twinmatch.dynamics import Parameters, Plant, PlantError, begin, simulate_driven
 from twinmatch.dynamics.bank import BankMembers, ChangeTraces, Reading, spawn, step, unborn
 from twinmatch.dynamics.pace import usual_scale
-from twinmatch.health.channel_sentences import ChannelSentences
 from twinmatch.health.channels import CHANGE, LEAD
 from twinmatch.health.evidence import Competition
 from twinmatch.health.faults import TRAITS
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.mixture import LEVELS
+from twinmatch.health.sentences import FaultSentences
 from twinmatch.signals import FloatArray
 
 
@@ -111,7 +111,7 @@ class FaultTrial:
         model = parameters.model
         self._competition = Competition(parameters, period)
         healthy = self._competition.healthy
-        words = ChannelSentences(model)
+        words = FaultSentences(model, period)
         named = [row for row in self._competition.rows if row.cause[0] not in _NOT_NAMED]
         self.called = {row.number: words.called(row.cause) for row in named}
         """The numbers that may change, in words."""

@@ -11,7 +11,7 @@ The judgement of a `Family` of candidates is built on these: `twin_response` run
 window, `identify` estimates Box–Jenkins models of the response, and `score` compares them with the measured
 window. `plant_gaps` computes the ν-gaps between the candidates' plants, `nominal_of` selects the candidate
 nearest to all others, and `judge_uncertainty` gives the uncertainty of all this. A `Verdict` carries the
-result.
+result, and `statements_of` says what it means for trust and faults.
 """
 
 from twinmatch.comparing.code_length import code_length, information_gain, two_part_length
@@ -35,6 +35,17 @@ from twinmatch.comparing.plant_gap import LoopConditions, plant_gap, plant_gaps,
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.scaling import Scaling, best_scaling
 from twinmatch.comparing.state_space import StateSpace
+from twinmatch.comparing.statements import (
+    ANYWHERE,
+    NOWHERE,
+    FaultStatement,
+    Statements,
+    TrustStatement,
+    ahead_words,
+    fault_of_drive,
+    plant_fault,
+    statements_of,
+)
 from twinmatch.comparing.undefined import UndefinedError, having_value
 from twinmatch.comparing.verdict import (
     ADMITTED,
@@ -57,15 +68,18 @@ from twinmatch.comparing.verdict import (
 
 __all__ = [
     "ADMITTED",
+    "ANYWHERE",
     "BASELINES",
     "DECIDED_FROM",
     "FEW",
     "LEVEL_WORDS",
+    "NOWHERE",
     "REFUSED",
     "Candidate",
     "CandidateScore",
     "DiscriminationError",
     "Family",
+    "FaultStatement",
     "ForecastScore",
     "GraphSymbol",
     "LoopConditions",
@@ -75,9 +89,12 @@ __all__ = [
     "SignalScore",
     "SimoModel",
     "StateSpace",
+    "Statements",
     "TrustLevel",
+    "TrustStatement",
     "UndefinedError",
     "Verdict",
+    "ahead_words",
     "akaike_weights",
     "best_scaling",
     "bic",
@@ -85,6 +102,7 @@ __all__ = [
     "code_length",
     "common_order",
     "doubt_words",
+    "fault_of_drive",
     "having_value",
     "identify",
     "information_gain",
@@ -98,12 +116,14 @@ __all__ = [
     "nu_gap",
     "nu_gap_matrix",
     "number_list",
+    "plant_fault",
     "plant_gap",
     "plant_gaps",
     "score",
     "score_orders",
     "spans_of",
     "stability_margin",
+    "statements_of",
     "twin_response",
     "two_part_length",
 ]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, FamilyUncertainty,
 from twinmatch.comparing.undefined import UndefinedError
 from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, Plant, linearised
 from twinmatch.errors import TwinmatchError
+from twinmatch.requirements import FINITE, RISING, SHARE, Among, Sized, Within
 from twinmatch.signals import OperatingPoint, one_of_each, point_values
 
 ADMITTED: Final = "admitted"
@@ -107,6 +108,10 @@ LEVEL_WORDS: Final = {
 """What the readings alone say of the leader."""
 
 
+_BY_HORIZON: Final = Sized("horizons", "its horizons", may_be_empty=True, by_owner=True)
+_BY_HORIZON_OF_SIGNAL: Final = Sized("horizons", "the horizons", may_be_empty=True, by_owner=True)
+
+
 @dataclass(frozen=True)
 class CandidateScore:
     """One candidate of the family at the moment of a verdict."""
@@ -120,7 +125,7 @@ class CandidateScore:
     last: int
     orders: tuple[OrderScore, ...]
     """Scores of every order on the measured window on which the candidate was matched."""
-    chosen_order: str
+    chosen_order: Annotated[str, Among("orders", "chosen_order", "order")]
     nu_gap_sum: float
     """Column sum of `Verdict.nu_gap`."""
     newest: Criteria | None
@@ -128,18 +133,18 @@ class CandidateScore:
     nu_gap_to_plant: float | None
     """Largest ν-gap, over the family's operating points, between this plant and the plant matched to the
     newest samples."""
-    margin: float | None = None
+    margin: Annotated[float | None, SHARE] = None
     """Stability margin b(P, C) of the running controller with this candidate's plant, 0 to 1."""
-    plant_gap_to_nominal: float | None = None
+    plant_gap_to_nominal: Annotated[float | None, SHARE] = None
     """ν-gap from the nominal candidate's plant to this one's, input to output, scaled as `margin`."""
     nu_gap_low: tuple[float, ...] = ()
     """Lower ends of the 90 % intervals of the ν-gaps to the candidates, in their order."""
-    nu_gap_high: tuple[float, ...] = ()
+    nu_gap_high: Annotated[tuple[float, ...], Sized("nu_gap_low", "the lower ends")] = ()
     """Upper ends of the same intervals."""
     nu_gap_sum_low: float = math.nan
     """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
     nu_gap_sum_high: float = math.nan
-    nominal_probability: float = math.nan
+    nominal_probability: Annotated[float, SHARE] = math.nan
     """Probability, given the uncertainty of the matches, of having the smallest ν-gap sum."""
     identified_gap_sum: float = math.nan
     """Column sum of `Verdict.identified_gap`; NaN where not computed."""
@@ -160,25 +165,25 @@ class ForecastScore:
     """Characters that its forecasts of output and input have saved compared with a forecast of no change: the
     mean over forecasts, older ones weighted less, summed over the horizons. NaN before one could be compared
     with the samples."""
-    gains: tuple[float, ...]
+    gains: Annotated[tuple[float, ...], _BY_HORIZON]
     """The gain at each horizon."""
-    forecasts: float
+    forecasts: Annotated[float, Within(0.0, math.inf)]
     """Effective number of forecasts in that mean."""
-    persistence_skill: tuple[float, ...] = ()
+    persistence_skill: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """At each horizon, 1 − (mean |error|) / (that of a forecast of no change); NaN if too few were compared,
     empty in recordings from before it was computed."""
-    arx_skill: tuple[float, ...] = ()
+    arx_skill: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """The same beside an ARX model, which is fitted to the samples so far."""
-    persistence_skill_high: tuple[float, ...] = ()
+    persistence_skill_high: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """Upper end of the one-sided 95 % interval of `persistence_skill`: below 0, the forecast of no change is
     better, and not by chance. NaN and empty as above."""
-    arx_skill_high: tuple[float, ...] = ()
+    arx_skill_high: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """The same of `arx_skill`."""
 
-    coverage: tuple[float, ...] = ()
+    coverage: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """At each horizon, the share of the readings since the horizon before that its bands have held, of
     several signals the least; 0.9 is expected. NaN and empty as above."""
-    independent: tuple[float, ...] = ()
+    independent: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """Effective number of forecasts in that share which do not overlap."""
 
     def doubts(self, horizons: Sequence[float], trusted: Sequence[float] = ()) -> dict[float, Shortfall]:
@@ -238,12 +243,12 @@ class SignalScore:
     """Name in the plant file."""
     miss: float
     """RMS over the newest samples of reading minus forecast, in half widths of the band."""
-    inside: float
+    inside: Annotated[float, SHARE]
     """Share of these samples in the band; 0.9 is expected."""
-    coverage: tuple[float, ...]
+    coverage: Annotated[tuple[float, ...], _BY_HORIZON_OF_SIGNAL, SHARE]
     """At each horizon, the share of the readings that the bands have held."""
-    persistence_skill: tuple[float, ...]
-    arx_skill: tuple[float, ...]
+    persistence_skill: Annotated[tuple[float, ...], _BY_HORIZON_OF_SIGNAL]
+    arx_skill: Annotated[tuple[float, ...], _BY_HORIZON_OF_SIGNAL]
     trusted: tuple[float, ...]
     """The horizons, s, at which the forecasts of this signal pass the test."""
 
@@ -262,26 +267,30 @@ class Verdict:
     """Why the leader is trusted so far and no further: a part of a sentence."""
     stands: bool
     """Whether nothing could be identified from the window and the scores are those of the verdict before."""
-    nominal: str | None
+    nominal: Annotated[str | None, Among("candidates", "nominal", "name")]
     """Name of the candidate with the smallest ν-gap sum."""
     reason: str
     """One plain sentence."""
-    decimals: int
+    decimals: Annotated[int, Within(0, 15)]
     """Decimal places of the tables in the information gain."""
     candidates: tuple[CandidateScore, ...]
     order: str | None
     """The order chosen by most candidates; `identified_gap` compares their models of this order."""
-    nu_gap: tuple[tuple[float, ...], ...]
+    nu_gap: Annotated[
+        tuple[tuple[float, ...], ...],
+        Sized("candidates", "its candidates", square=True, may_be_empty=True),
+        SHARE,
+    ]
     """Largest ν-gap between the candidates' plants over `nu_gap_points`, in the order of `candidates`."""
     driven_rms_y: float
     """RMS over the newest samples of measured minus driven twin's output; NaN without a nominal. Of several
     outputs, or inputs, that of the worst in units of its noise."""
     closed_rms_u: float
     """RMS over the same samples of measured minus closed-loop twin's input; NaN without a nominal."""
-    nu_gap_points: tuple[float, ...] = ()
+    nu_gap_points: Annotated[tuple[float, ...], FINITE] = ()
     """Operating points at which the candidates' plants are compared, in the output's unit; of several outputs
     one after the other."""
-    identified_gap: tuple[tuple[float, ...], ...] = ()
+    identified_gap: Annotated[tuple[tuple[float, ...], ...], SHARE] = ()
     """ν-gaps between the models identified on the candidates' twins, as in the paper; in the same order."""
     match: str = ""
     """Result of the window's match: `ADMITTED`, `REFUSED`, or empty if none was requested."""
@@ -302,9 +311,9 @@ class Verdict:
     """Name of the plant structure that the samples support; empty before the first comparison."""
     structure_parameters: Parameters | None = None
     """Parameters fitted in that structure."""
-    leader: str | None = None
+    leader: Annotated[str | None, Among("forecasts", "leader", "name")] = None
     """Name of the candidate whose forecasts have saved the most characters: the one to use for forecasts."""
-    leader_confidence: float = math.nan
+    leader_confidence: Annotated[float, SHARE] = math.nan
     """Share of the forecasts so far in which the leader's error at the longest horizon was within 3 % of the
     best candidate's in hindsight; NaN without a leader."""
     miss_y: float = math.nan
@@ -312,16 +321,16 @@ class Verdict:
     was no forecast."""
     miss_u: float = math.nan
     """The same for the input."""
-    inside_y: float = math.nan
+    inside_y: Annotated[float, SHARE] = math.nan
     """Share of those samples with the output inside the band; 0.9 is expected."""
-    inside_u: float = math.nan
+    inside_u: Annotated[float, SHARE] = math.nan
     miss_since: int | None = None
     """Index of the first sample of the current stretch outside the bands; None while inside."""
     held_low: float = math.nan
     """Lowest output of the contiguous range of levels at which forecasts held; NaN if there is none."""
     held_high: float = math.nan
     """Highest output of that range."""
-    horizons: tuple[float, ...] = ()
+    horizons: Annotated[tuple[float, ...], RISING] = ()
     """Horizons of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()
     """Scores of every candidate that forecasts, including the leader."""

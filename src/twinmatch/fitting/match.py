@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from types import MappingProxyType
-from typing import ClassVar, Final, NamedTuple
+from typing import Annotated, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import LASTING, Bounds, Noise, Prior, Problem, checked_free, checked_law
+from twinmatch.requirements import Among, Sized
 from twinmatch.signals import FloatArray, Window
 
 
@@ -38,6 +39,11 @@ _KNOWN: Final = 0.1
 _NO_FIT = Fit(float("nan"), float("nan"))
 
 
+_BY_NAME: Final = Sized("free", "its free parameters")
+_BY_PAIR: Final = Sized("free", "its free parameters", square=True)
+_FREE: Final = Among("free", "parameter")
+
+
 @dataclass(frozen=True, eq=False)
 class Match:
     """Parameters of a plant matched to a window, how well they are known, and whether they may be used.
@@ -53,17 +59,17 @@ class Match:
     free: tuple[str, ...]
     """Names of the unknowns, in the order of the arrays below: parameters in the model's order, then the
     states with unknown value at the window's third sample."""
-    starts: Mapping[str, float]
+    starts: Annotated[Mapping[str, float], _FREE]
     """Values of those states, by name; empty if the structure has none."""
-    covariance: FloatArray = field(metadata={"columns": -1})
+    covariance: Annotated[FloatArray, _BY_PAIR] = field(metadata={"columns": -1})
     """Covariance of the fitted parameters, shape (n, n), in their own units."""
-    fisher: FloatArray = field(metadata={"columns": -1})
+    fisher: Annotated[FloatArray, _BY_PAIR] = field(metadata={"columns": -1})
     """Information JᵀJ of the weighted residuals, shape (n, n)."""
-    eigenvalues: FloatArray
+    eigenvalues: Annotated[FloatArray, _BY_NAME]
     """Eigenvalues of the information in units of the parameters' scales, ascending, shape (n,)."""
     condition: float
     """Condition number of the scaled Jacobian."""
-    bounds_hit: tuple[str, ...]
+    bounds_hit: Annotated[tuple[str, ...], _FREE]
     fit: Fit
     """Fit on the window."""
     held_back: Fit
@@ -75,14 +81,18 @@ class Match:
     status: Status
     reason: str
     """One sentence on the status."""
-    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
+    directions: Annotated[
+        FloatArray, Sized("free", "its free parameters", square=True, may_be_empty=True)
+    ] = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
     """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
     to `eigenvalues[j]`, so column 0 is the combination of parameters that the window determines least."""
-    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
+    intervals: Annotated[FloatArray, Sized("free", "its free parameters", rows=2, may_be_empty=True)] = field(
+        default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2}
+    )
     """Profile-likelihood interval (95 %) of each parameter, in its own unit, shape (n, 2); an end is
     infinite where a bound of the search cuts the interval off, zero where zero is a physical limit, and NaN
     if no fit was made or it does not explain the window."""
-    believed: tuple[str, ...] = ()
+    believed: Annotated[tuple[str, ...], _FREE] = ()
     """Names of the parameters that this window determines."""
     determined: str = ""
     """A sentence on which combination of the parameters the window determines."""
@@ -95,7 +105,7 @@ class Match:
         return self.status is Status.ACCEPTED
 
     @property
-    def standard_errors(self) -> FloatArray:
+    def standard_errors(self) -> Annotated[FloatArray, _BY_NAME]:
         """Standard errors of the fitted parameters, shape (n,)."""
         return np.sqrt(np.diag(self.covariance))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.requirements import FINITE, LARGEST, RISING, RowsOf, SentAs, Within
 from twinmatch.signals import FloatArray, column_of, one_of_each, only
 
 
@@ -30,6 +32,9 @@ class Band:
     high: FloatArray
 
 
+_BY_TIME: Final = RowsOf("time", "its times")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
     """Forecast by one candidate of the N samples after `sample`, as the sensor will read them."""
@@ -40,15 +45,15 @@ class Forecast:
     """Name of the candidate."""
     structure: str
     """Name of its structure."""
-    confidence: float
+    confidence: Annotated[float, Within(0.0, 1.0, may_be_absent=False)]
     """Share of the samples that the band is to hold."""
-    time: FloatArray
+    time: Annotated[FloatArray, RISING]
     """Seconds after `sample`, shape (N,); the first is one period."""
-    references: FloatArray
+    references: Annotated[FloatArray, SentAs("reference"), _BY_TIME, Within(-LARGEST, LARGEST)]
     """Set-points for which it is made, shape (N, r), or (N,) for one; NaN if the loop is not known: it is
     made for `inputs`."""
-    outputs: tuple[Band, ...]
-    inputs: tuple[Band, ...]
+    outputs: Annotated[tuple[Band, ...], SentAs("output"), _BY_TIME, FINITE]
+    inputs: Annotated[tuple[Band, ...], SentAs("input"), _BY_TIME, FINITE]
     notes: tuple[str, ...] = ()
     """Sentences on what the band does not cover: a fault, a level never visited."""
 
@@ -64,6 +69,21 @@ class Forecast:
         """Its k-th output and input, with the set-point of that output; of fewer the last."""
         outputs, inputs = (bands[min(k, len(bands) - 1)] for bands in (self.outputs, self.inputs))
         return replace(self, references=column_of(self.references, k), outputs=(outputs,), inputs=(inputs,))
+
+    def at(self, samples: Sequence[int]) -> Forecast:
+        """Only what it says of so many samples ahead, counted from 1."""
+        rows = np.array(samples) - 1
+
+        def thinned(bands: tuple[Band, ...]) -> tuple[Band, ...]:
+            return tuple(Band(band.mean[rows], band.low[rows], band.high[rows]) for band in bands)
+
+        return replace(
+            self,
+            time=self.time[rows],
+            references=self.references[rows],
+            outputs=thinned(self.outputs),
+            inputs=thinned(self.inputs),
+        )
 
     @property
     def reference(self) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twinmatch.forecasting.forecast import Forecast, ForecastError
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.set_points import SetPoints
+from twinmatch.requirements import SentAs
 from twinmatch.signals import one_of_each
 
 
@@ -156,21 +157,24 @@ class Question:
     """Tolerance for reaching it; None: `NEAR`."""
 
 
+_LISTED: Final = SentAs(is_listed=True)
+
+
 @dataclass(frozen=True)
 class WhatIfResult:
     """A twin's answer to a question."""
 
     forecast: Forecast
     """The forecast, sample by sample."""
-    level: float
+    level: Annotated[float, _LISTED]
     """Output level to reach."""
-    tolerance: float
+    tolerance: Annotated[float, _LISTED]
     """Tolerance for reaching it."""
-    reached: Moment
+    reached: Annotated[Moment, SentAs("reach", is_first_bare=True)]
     """When the output first reaches it."""
-    settled: Moment
+    settled: Annotated[Moment, SentAs("hold", is_first_bare=True)]
     """When the output reaches it to stay."""
-    largest: Peak
+    largest: Annotated[Peak, SentAs("largest_input", is_first_bare=True)]
     """The largest |u|."""
 
 

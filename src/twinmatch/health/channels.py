@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.health.channel_sentences import ChannelSentences
 from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.faults import (
     HOUR,
@@ -25,6 +24,7 @@ from twinmatch.health.faults import (
 )
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.reading_through import ReadThrough
+from twinmatch.health.sentences import FaultSentences
 from twinmatch.signals import Sample
 
 CHANGE: Final = 3.0
@@ -125,7 +125,7 @@ class ChannelMonitor:
         """What sensors should read now that are not believed."""
         self.suspects: list[Suspect] = []
         """What competes now, the best first."""
-        self.sentences = ChannelSentences(parameters.model)
+        self.sentences = FaultSentences(parameters.model, period)
         self._impossible = np.zeros(len(parameters.model.plant.outputs), dtype=np.int64)
         """Readings in a row of each output that its sensor cannot give."""
         self._standing: list[_NamedChange] = []

@@ -56,6 +56,10 @@ class Subject(Enum):
     ANYTHING = "anything"
 
 
+EVERY: Final = -1
+"""Place of all drives together, where a place says which drive a fault concerns."""
+
+
 @dataclass(frozen=True, slots=True)
 class FaultTraits:
     """All that is said and known of a kind of fault before it happens."""

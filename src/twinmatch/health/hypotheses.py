@@ -11,14 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from twinmatch.dynamics import Model
-from twinmatch.health.faults import Fault
+from twinmatch.health.faults import EVERY, Fault
 
 PlacedFault = tuple[Fault, int]
 """A fault, and the place of the free parameter, drive or output that it concerns; of a `DRIFT`, the place of
 the drive that something unknown acts like; `EVERY` for all drives at once."""
-
-EVERY: Final = -1
-"""Place of all drives together."""
 
 RARE: Final = 2.5
 """Price of what comes evenly over minutes, nats."""

@@ -17,7 +17,6 @@ from twinmatch.health.faults import (
     EstimatedReading,
     Evidence,
     Fault,
-    FaultSentences,
     Health,
     HealthState,
     touching,
@@ -26,6 +25,7 @@ from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.late_input import LateInput
 from twinmatch.health.refusals import stamps_apart
 from twinmatch.health.rivals import Cause
+from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
@@ -83,7 +83,7 @@ class Monitor:
         self.settings = settings or HealthSettings()
         self._known = bool(self.settings.reference.model.plant.typical)
         """Whether the drive's effect on this plant is known, if only roughly."""
-        self._sentences = FaultSentences(self.settings.reference.model.plant, self.settings.period)
+        self._sentences = FaultSentences(self.settings.reference.model, self.settings.period)
         self._lag = Lag(self.settings.pace)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()

@@ -12,7 +12,8 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis
-from twinmatch.health.faults import TRAITS, Evidence, Fault, FaultSentences, signed
+from twinmatch.health.faults import TRAITS, Evidence, Fault, signed
+from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample

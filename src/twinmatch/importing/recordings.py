@@ -30,8 +30,9 @@ from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
+from twinmatch.sessions.cdr import plant_messages
 from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
-from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
+from twinmatch.sessions.messages import SAMPLE, topics_of
 from twinmatch.sessions.reader import Session, named, read_session
 from twinmatch.sessions.recording import samples_of
 from twinmatch.sessions.records import MAGIC

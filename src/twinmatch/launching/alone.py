@@ -15,19 +15,19 @@ from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.ending import end_in_order
 from twinmatch.launching.judging import Judged, Judging
-from twinmatch.launching.shown import Shown
+from twinmatch.launching.shown import RunShown
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.sampler import SAMPLER, listener_of, source_of
 from twinmatch.parameters.twin import values_of
 from twinmatch.plants.records import description_of
-from twinmatch.record import Tree, tree_of
+from twinmatch.record import Tree, description_tree, tree_of
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.listener import SEARCH, Open
 from twinmatch.sampling.sampler import TIMER
 from twinmatch.sessions import Recording, RecordingLimits
-from twinmatch.sessions.encoding import description_tree, encode, topic_named
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode, encode_sample
+from twinmatch.sessions.messages import SAMPLE, topic_named
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.sessions.recording import FLUSH
 from twinmatch.sessions.spool import SampleSpool
@@ -136,7 +136,7 @@ class Alone:
             pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
         self._listener.open(opened)
-        self._shown = Shown(plan.settings, plan.page, plan.tell)
+        self._shown = RunShown(plan.settings, plan.page, plan.tell)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
         self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._spool = SampleSpool()

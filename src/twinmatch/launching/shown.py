@@ -1,26 +1,23 @@
-"""What a run in one process shows: the state behind the page, the page itself, and what a broker gets."""
+"""What a run in one process shows on the page, and what can be asked there."""
 
 from __future__ import annotations
 
 import time
 from typing import TYPE_CHECKING, cast
 
-from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Question, what_if
 from twinmatch.plants.records import description_of
 from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.health import ERROR, OK
-from twinmatch.showing.page.outlets import metrics_text, outlet_to
-from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer, update_sentence
+from twinmatch.showing.page.shown import Shown
+from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot, TwinSettings
 
 if TYPE_CHECKING:
     from twinmatch.launching.judging import Judged
-    from twinmatch.showing.page.mqtt_outlet import MqttOutlet
     from twinmatch.showing.page.requests import Requests
-    from twinmatch.showing.page.server import PageServer
 
 
 class Asked:
@@ -53,8 +50,8 @@ class Asked:
         """Nothing is played here."""
 
 
-class Shown:
-    """Keeps a `DashboardState` up to date for those who look at it."""
+class RunShown(Shown):
+    """Keeps the state of a run in this process up to date for those who look at it."""
 
     def __init__(self, settings: TwinSettings, port: int | None, broker: str | None) -> None:
         """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows.
@@ -62,17 +59,15 @@ class Shown:
         Raises:
             TwinmatchError: the port cannot be used, or the broker cannot be reached.
         """
+        super().__init__(description_of(settings.plant), lambda: settings)
         self.wanted = port is not None
         """Whether anybody looks."""
-        self.state = DashboardState(described=description_of(settings.plant))
-        self._settings = settings
         self._asked = Asked(self.state, settings)
-        self._summed_up = 0
-        self._server: PageServer | None = None
-        self._outlet: MqttOutlet | None = None
         try:
-            self._server = _serve(self.state, self._asked, port) if port is not None else None
-            self._outlet = outlet_to(broker, settings.plant.name) if broker else None
+            if port is not None:  # without `control`, a tab makes no other requests than these
+                self.serve(cast("Requests", self._asked), port)
+            if broker:
+                self.publish_to(broker, settings.plant.name)
         except BaseException:
             self.close()
             raise
@@ -101,30 +96,9 @@ class Shown:
         report = (ERROR, text) if text else (OK, "sampling")
         self.state.push_health(f"{name}: health", *report, {}, time.monotonic())
 
-    def tell(self) -> None:
-        """Summarise, and tell the broker what is new; to be called about once a second."""
-        if self._summed_up != self.state.verdicts:
-            self._summed_up = self.state.verdicts
-            update_sentence(self.state, self._settings)
-        if self._outlet is not None:
-            self.trouble("broker", self._outlet.tell(self.state))
-
-    def close(self) -> bool:
-        """Leave the broker, and stop the page; returns whether the threads of both have ended."""
-        parts = (self._outlet, self._server)
-        return end_in_order(*(part.close for part in parts if part is not None))
-
-
-def _serve(state: DashboardState, asked: Asked, port: int) -> PageServer:
-    from twinmatch.showing.page.server import PageServer  # noqa: PLC0415 — only a page needs Bokeh
-    from twinmatch.showing.page.tab import Tab  # noqa: PLC0415
-
-    requests = cast("Requests", asked)  # without `control`, a tab uses no others
-    server = PageServer(
-        "127.0.0.1",
-        port,
-        lambda document: Tab(state, requests).build(document),
-        metrics=lambda: metrics_text(state),
-    )
-    print(f"page: {server.url}", flush=True)
-    return server
+    def tell(self) -> str | None:
+        """Do what a `Shown` does, and show why nothing reaches the broker."""
+        trouble = super().tell()
+        if trouble is not None:
+            self.trouble("broker", trouble)
+        return trouble

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch import twin
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import TrustLevel, Verdict, statements_of
 from twinmatch.defects import without_what_fails
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
@@ -25,11 +25,9 @@ from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.law_desk import LawDesk
 from twinmatch.nodes.messages import (
     answer_message,
-    forecast_message,
     message_of,
     question_from,
     record_of,
-    request_message,
     shown_samples,
 )
 from twinmatch.nodes.samples import SampleNode, TwinNode
@@ -99,7 +97,7 @@ class ForecastPublisher:
             if not outlook.parameters.model.is_external:
                 raise
             return  # at the next sample another candidate leads, which can be run
-        self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
+        self._node.publish(self._forecasts, message_of(forecast.at(self._ahead), sample.stamp))
         self._health.set("leader", outlook.candidate)
         self._health.set("forecast from sample", sample.index)
 
@@ -129,15 +127,15 @@ def plant_report(verdict: Verdict | None, reason: str) -> Report:
     readings. `reason` is the sentence with which the fault was found."""
     if verdict is None:
         return Report(Level.OK, "nothing is judged yet", {})
-    missed = verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None
-    if not verdict.fault and missed is None:
+    trust, fault, _ = statements_of(verdict)
+    if fault is None and trust.missed_since is None:
         return Report(Level.OK, "the plant responds normally", {})
-    sentence = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
-    since = verdict.fault_since if verdict.fault else missed
-    values = {"fault": verdict.fault, "channel": verdict.fault_signal, "since sample": since}
+    if fault is None:
+        return Report(Level.WARN, trust.reason, {"since sample": str(trust.missed_since)})
+    values = {"fault": fault.name, "channel": fault.signal, "since sample": fault.since}
     filled = {key: str(value) for key, value in values.items() if value not in ("", None)}
-    level = Level.ERROR if verdict.level is TrustLevel.FAULT else Level.WARN
-    return Report(level, sentence, filled)
+    level = Level.ERROR if fault.level is TrustLevel.FAULT else Level.WARN
+    return Report(level, fault._replace(reason=reason).with_reason, filled)
 
 
 class DiscriminatorNode(SampleNode):
@@ -223,7 +221,7 @@ class DiscriminatorNode(SampleNode):
             self._publish_step(step)
         if step.request is not None:
             self._tries = 0
-            self._request(request_message(step.request, self._stamp_of(step.request)))
+            self._request(message_of(step.request, self._stamp_of(step.request)))
         elif self._discriminator.request is None:
             self.health.set("waiting for a match of", "nothing")
             self.health.withdraw("match")
@@ -304,8 +302,9 @@ class DiscriminatorNode(SampleNode):
             self._fault_reason = verdict.reason
         self._judged = verdict
         self.health.count(VERDICTS)
-        self.health.set("level", verdict.level.value)
-        self.health.set("level because", verdict.level_reason)
+        trust = statements_of(verdict).trust
+        self.health.set("level", trust.level.value)
+        self.health.set("level because", trust.reason)
         self.health.set("nominal", verdict.nominal or "none")
         self._verdicts_made += 1
         if self._verdicts_made > self._published_before:

@@ -1,12 +1,13 @@
 """What is expected of every message that a node reads: one table, by its type.
 
-A check raises `MessageError` with a sentence.
+What concerns one field of a record is declared beside that field, with `twinmatch.requirements`. A check
+raises `MessageError` with a sentence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -20,21 +21,26 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, Float64MultiArray
 
-from twinmatch.comparing import ADMITTED, BASELINES, REFUSED, TrustLevel
+from twinmatch.comparing import ADMITTED, REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
-from twinmatch.fitting import Status
+from twinmatch.forecasting import Forecast
+from twinmatch.health import EstimatedReading
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
 from twinmatch.nodes.messages import LOOP, nanoseconds, sample_from
 from twinmatch.plants import UnknownPlantError
-from twinmatch.sessions.encoding import SAMPLED
+from twinmatch.record import SAMPLED
+from twinmatch.record.fields import Form, RecordField, fields_of, values_name
+from twinmatch.requirements import FINITE, Requirement, Within, unknown_word, wrong_size
+from twinmatch.safety import LawReport
 from twinmatch.signals import FloatArray, counted, incomplete
-from twinmatch.twin import MatchRequest
+from twinmatch.twin import MatchReport, MatchRequest
+from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
 from twinmatch_msgs import msg as ours
 from twinmatch_msgs.srv import ApplyLaw, Experiment, Past, TryLaw, WhatIf
 
-LARGEST: Final = 1e12
-"""Largest magnitude of a signal, in any unit."""
+_PERIODS: Final = Within(1e-4, 1e6, may_be_absent=False)
+"""Sampling periods, s."""
 
 
 def check(message: Any, plant: Expected = None) -> None:
@@ -67,39 +73,59 @@ def check_readable(message: Any) -> None:
         MESSAGES[type(message)].read(message)
 
 
+def check_record(message: Any, kind: type, owner: Any = None) -> None:
+    """Check a message, or a part of its `owner`, by what is declared beside the fields of its record.
+
+    Raises:
+        MessageError: a field is not what is expected.
+    """
+    for field in fields_of(kind):
+        _check_form(message, field, owner)
+        for requirement in field.requirements:
+            for name in _names_of(field):
+                _refuse(requirement.problem(name, getattr(message, name), message, owner))
+        if field.form is Form.BANDS:
+            _check_size(message, len(getattr(message, field.key)), *_names_of(field), of="its means")
+
+
+def _check_form(message: Any, field: RecordField, owner: Any) -> None:
+    """Check what follows from the form of a field, and the parts in it."""
+    if field.form is Form.WORD:
+        _check_word(message, field.key, [member.value for member in field.kind])
+    elif field.form is Form.POINT:
+        _check_point(message, field.key)
+    elif field.form is Form.NAMED:
+        _check_size(message, len(getattr(message, field.key)), values_name(field.key), of=f"its {field.key}")
+    elif field.form is Form.PART:
+        check_record(getattr(message, field.key), field.kind, message)
+    elif field.form is Form.PARTS:
+        for part in getattr(message, field.key):
+            check_record(part, field.kind, message)
+    elif field.form is Form.INLINE and not field.prefix:
+        check_record(message, field.kind, owner)
+
+
+def _names_of(field: RecordField) -> tuple[str, ...]:
+    """The fields of a message with the values of a record's field."""
+    return tuple(field.columns_of_bands.values()) if field.form is Form.BANDS else (field.key,)
+
+
+def _refuse(problem: str) -> None:
+    if problem:
+        raise MessageError(problem)
+
+
 def _check_size(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
     for name in names:
         length = len(getattr(message, name))
         if length != size and not (empty and length == 0):
-            raise MessageError(f"{name} has {length} values for {of}; expected {size}")
+            raise MessageError(wrong_size(name, length, size, of))
 
 
-def _numbers(message: Any, names: Iterable[str]) -> Iterator[tuple[str, float]]:
-    """The numbers in fields that hold one or several, by the name of the field."""
+def _check_each(message: Any, requirement: Requirement, *names: str) -> None:
+    """Check fields of a message that is not a record."""
     for name in names:
-        value = getattr(message, name)
-        for number in (value,) if isinstance(value, float | int) else value:
-            yield name, number
-
-
-def _check_finite(message: Any, *names: str) -> None:
-    """Check that numbers, or lists of numbers, are finite and not absurdly large."""
-    for name, number in _numbers(message, names):
-        if not abs(number) <= LARGEST:  # true for NaN too
-            raise MessageError(f"{name} is {number}; expected a finite number")
-
-
-def _check_within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
-    """Check that numbers, or lists of numbers, are in a range; NaN passes if a number may be `absent`."""
-    for name, number in _numbers(message, names):
-        if not (low <= number <= high or (absent and math.isnan(number))):
-            raise MessageError(f"{name} is {number:g}; expected {low:g} to {high:g}")
-
-
-def _check_rising(message: Any, name: str) -> None:
-    values = getattr(message, name)
-    if not all(math.isfinite(v) and v >= 0 for v in values) or any(a >= b for a, b in pairwise(values)):
-        raise MessageError(f"{name} does not rise from 0 on")
+        _refuse(requirement.problem(name, getattr(message, name), message, None))
 
 
 def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
@@ -111,11 +137,10 @@ def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
         raise MessageError(f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}")
 
 
-def _check_among(words: Iterable[str], listed: Iterable[str], kind: str) -> None:
-    accepted = {"", *listed}
-    unknown = [word for word in words if word not in accepted]
-    if unknown:
-        raise MessageError(f"{kind} {unknown[0][:40]!r} is not among those listed")
+def _check_point(message: Any, name: str) -> None:
+    _check_each(message, FINITE, name)
+    if not getattr(message, name):
+        raise MessageError(f"{name} is empty; expected a value for each output")
 
 
 def _check_window(message: Any) -> None:
@@ -128,7 +153,7 @@ def _check_window(message: Any) -> None:
 def _check_sample(message: Any) -> None:
     if missing := incomplete(message.index, [len(getattr(message, name)) for name in LOOP]):
         raise MessageError(missing)
-    _check_finite(message, *SAMPLED)
+    _check_each(message, FINITE, *SAMPLED)
 
 
 def _check_signals(message: Any, plant: type[Plant]) -> None:
@@ -157,51 +182,27 @@ def _check_state(message: Any) -> None:
 
 
 def _check_forecast(message: Any) -> None:
-    bands = [f"{name}{edge}" for name in ("output", "input") for edge in ("", "_low", "_high")]
-    size = len(message.time)
-    if not size:
+    if not len(message.time):
         raise MessageError("time is empty; a forecast has at least one")
-    for name in ("reference", "output", "input"):
-        values = len(getattr(message, name))
-        if not values or values % size:
-            raise MessageError(f"{name} has {values} values for its times; expected {size}, or that of each")
-    for name in bands:
-        values = len(getattr(message, name.split("_", maxsplit=1)[0]))
-        _check_size(message, values, name, of="its means")
-    _check_rising(message, "time")
-    _check_finite(message, *bands)
-    _check_within(message, -LARGEST, LARGEST, "reference")  # a twin whose loop is not known assumes inputs
-    _check_within(message, 0.0, 1.0, "confidence", absent=False)
-
-
-STATUSES: Final = [status.value for status in Status]
-LEVELS: Final = [level.value for level in TrustLevel]
+    check_record(message, Forecast)
 
 
 def _check_match(message: Any) -> None:
-    size = len(message.free)
-    _check_word(message, "status", STATUSES)
     _check_window(message)
-    _check_point(message)
-    _check_size(message, size, "standard_errors", "eigenvalues", of="its free parameters")
-    _check_size(message, size**2, "covariance", "fisher", of="its free parameters")
-    _check_size(message, size**2, "directions", of="its free parameters", empty=True)
-    _check_size(message, 2 * size, "intervals", of="its free parameters", empty=True)
-    _check_size(message, len(message.starts), "start_values", of="its starts")
-    _check_among(chain(message.starts, message.bounds_hit, message.believed), message.free, "parameter")
-    _check_among(message.free, chain(message.parameters.names, message.starts), "parameter")
-    if len(set(message.free)) != size:
+    check_record(message, MatchReport)
+    _refuse(unknown_word(message.free, {*message.parameters.names, *message.starts}, "parameter"))
+    if len(set(message.free)) != len(message.free):
         raise MessageError("free: a name is given twice")
     if any(low > high for low, high in zip(message.intervals[::2], message.intervals[1::2], strict=True)):
         raise MessageError("intervals: a low end is above its high end")
     if message.status == message.ACCEPTED:
-        _check_accepted(message, size)
+        _check_accepted(message, len(message.free))
 
 
 def _check_accepted(message: Any, size: int) -> None:
     """Check what the twin computes with: its numbers are finite, and its covariance is one."""
-    _check_within(message, -math.inf, 1.0, "fit_y", "fit_u")
-    _check_within(message, 0.0, math.inf, "chi2", absent=False)
+    _check_each(message, Within(-math.inf, 1.0), "fit_y", "fit_u")
+    _check_each(message, Within(0.0, math.inf, may_be_absent=False), "chi2")
     for name in ("covariance", "fisher", "eigenvalues", "start_values"):
         if not all(map(math.isfinite, getattr(message, name))):
             raise MessageError(f"{name} of an accepted match is not finite")
@@ -223,70 +224,42 @@ def _is_positive(covariance: FloatArray) -> bool:
 
 
 def _check_verdict(message: Any) -> None:
-    candidates = len(message.candidates)
-    names = [c.name for c in message.candidates]
-    modelled = sum(bool(c.orders) for c in message.candidates)
-    _check_word(message, "level", LEVELS)
+    names = [candidate.name for candidate in message.candidates]
     _check_window(message)
-    if not 0 <= message.decimals <= 15:
-        raise MessageError(f"decimals is {message.decimals}; expected 0 to 15")
     if len(set(names)) != len(names):
         raise MessageError("candidates: a name is given twice")
-    _check_size(message, candidates**2, "nu_gap", of="its candidates", empty=True)
+    check_record(message, Verdict)
+    modelled = sum(bool(candidate.orders) for candidate in message.candidates)
     _check_size(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
-    _check_within(
-        message, 0.0, 1.0 + 1e-9, "nu_gap", "identified_gap", "leader_confidence", "inside_y", "inside_u"
-    )
-    _check_finite(message, "nu_gap_points")
-    _check_rising(message, "horizons")
-    _check_among([message.nominal], names, "nominal")
-    _check_among([message.match], (ADMITTED, REFUSED), "match")
-    _check_among([message.leader], [score.name for score in message.forecasts], "leader")
-    for candidate in message.candidates:
-        _check_candidate(candidate)
-    skills = [f"{name}_skill" for name in BASELINES]
-    high_skills = [f"{name}_skill_high" for name in BASELINES]
-    score_fields = ("gains", *skills, *high_skills, "coverage", "independent")
-    for score in message.forecasts:
-        _check_size(score, len(message.horizons), *score_fields, of="its horizons", empty=True)
-        _check_score(score)
-    for signal in message.signals:
-        _check_size(signal, len(message.horizons), "coverage", *skills, of="the horizons", empty=True)
-        _check_within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
-
-
-def _check_point(message: Any) -> None:
-    _check_finite(message, "operating_point")
-    if not message.operating_point:
-        raise MessageError("operating_point is empty; expected a value for each output")
+    _refuse(unknown_word([message.match], {ADMITTED, REFUSED}, "match"))
+    for candidate in chain(message.candidates, message.forecasts):
+        _check_named(candidate)
 
 
 def _check_estimate(message: Any) -> None:
-    _check_finite(message, "value", "wide", "good")
-    _check_within(message, 0.0, LARGEST, "band", absent=False)
+    check_record(message, EstimatedReading)
     if not (message.signal and message.since <= message.sample):
         raise MessageError("it names no signal, or begins behind its sample")
 
 
 def _check_experiment(message: Any) -> None:
-    if message.phase_name != "refused":
-        _check_finite(message, "expected", "brought", "levels", "holds")
+    check_record(message, ExperimentReport)
+    if message.phase_name != ExperimentPhase.REFUSED.value:
+        _check_each(message, FINITE, "expected", "brought", "levels", "holds")
 
 
 def _check_law(message: Any) -> None:
-    _check_finite(message, "proportional", "integral", "derivative")
+    check_record(message, LawReport)
 
 
 def _check_candidate(candidate: Any) -> None:
-    _check_point(candidate)
-    _check_among([candidate.chosen_order], [model.order for model in candidate.orders], "chosen_order")
-    _check_within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
-    _check_size(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
+    check_record(candidate, CandidateScore)
     _check_named(candidate)
 
 
 def _check_score(score: Any) -> None:
-    _check_within(score, 0.0, math.inf, "forecasts")
+    """Check the score of a candidate alone: the horizons it belongs to are not in the message."""
+    _check_each(score, Within(0.0, math.inf), "forecasts")
     _check_named(score)
 
 
@@ -296,14 +269,14 @@ def _check_named(candidate: Any) -> None:
 
 
 def _check_request(message: Any) -> None:
-    _check_point(message)
-    _check_finite(message, *SAMPLED)
-    _check_within(message, 1e-4, 1e6, "period", absent=False)
+    _check_point(message, "operating_point")
+    _check_each(message, FINITE, *SAMPLED)
+    _check_each(message, _PERIODS, "period")
 
 
 def _request_with_stamp(message: Any) -> tuple[MatchRequest, int]:
     """A request and its stamp, ns."""
-    request = converted.request_from(message)
+    request = converted.record_of(message)
     if request.window.last > request.sample:
         raise MessageError(f"its window ends behind its sample {request.sample}")
     return request, nanoseconds(message.header.stamp)
@@ -313,7 +286,7 @@ def _check_description(message: Any) -> None:
     for name in LOOP:
         if not getattr(message, name):
             raise MessageError(f"{name} is empty; a plant has at least one")
-    _check_within(message, 1e-4, 1e6, "period", absent=False)
+    _check_each(message, _PERIODS, "period")
     if not message.plant:
         raise MessageError("plant is empty; expected its name")
     for signal in chain(*(getattr(message, name) for name in (*SAMPLED, "states"))):
@@ -338,7 +311,7 @@ def _check_health(message: Any) -> None:
 def _check_past(answer: Any) -> None:
     size = len(answer.index)
     _check_size(answer, size, "stamp", of="its samples")
-    _check_finite(answer, *SAMPLED)
+    _check_each(answer, FINITE, *SAMPLED)
     for name in SAMPLED:
         values = len(getattr(answer, name))
         if values % max(1, size) or (name in LOOP and values < size):
@@ -450,7 +423,7 @@ class MessageRules(NamedTuple):
 MESSAGES: Final[dict[Any, MessageRules]] = {
     ours.LoopSample: MessageRules(_check_sample, sample_from, _sample_departs),
     ours.TwinState: MessageRules(_check_state),
-    ours.Forecast: MessageRules(_check_forecast, converted.forecast_from),
+    ours.Forecast: MessageRules(_check_forecast, converted.record_of),
     ours.Match: MessageRules(_check_match, converted.record_of),
     ours.MatchRequest: MessageRules(_check_request, _request_with_stamp),
     ours.ModelScore: MessageRules(_check_verdict, converted.record_of),

@@ -19,7 +19,7 @@ from twinmatch.nodes.past import PAST
 from twinmatch.nodes.senders import Senders
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import BUILT_IN, Setting
-from twinmatch.sessions.encoding import SAMPLED
+from twinmatch.record import SAMPLED
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState

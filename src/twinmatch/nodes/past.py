@@ -21,8 +21,8 @@ from twinmatch.nodes.cdr import serialized
 from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.sessions.encoding import SAMPLED
-from twinmatch.sessions.messages import decode_sample, encode_sample
+from twinmatch.record import SAMPLED
+from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past

@@ -25,8 +25,9 @@ from twinmatch.nodes.past import CatchingUp, RecorderPast
 from twinmatch.nodes.topics import Following, offered, wanted
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
+from twinmatch.sessions.cdr import decode_sample
 from twinmatch.sessions.documents import DocumentError, read_text
-from twinmatch.sessions.messages import decode_sample, schema_of
+from twinmatch.sessions.messages import schema_of
 from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
 from twinmatch.sessions.recording import FLUSH
 

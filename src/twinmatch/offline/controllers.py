@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import LEVEL_WORDS, Candidate, TrustLevel, Verdict
+from twinmatch.comparing import Candidate, TrustLevel, Verdict, statements_of
 from twinmatch.controllers import ControllerError, ExperimentTerms, Holding, TriedTwin, law_from, suited
 from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
@@ -252,10 +252,10 @@ def _tried_from_memory(candidate: Candidate) -> TriedTwin:
 def _require_trusted(name: str, verdict: Verdict | None) -> None:
     if verdict is None:
         raise ControllerError(f"session {name}: no verdict came of it, so no controller can be tried on it")
-    if verdict.level is not TrustLevel.TRUSTED:
-        reason = verdict.level_reason or LEVEL_WORDS[verdict.level]
+    trust = statements_of(verdict).trust
+    if trust.level is not TrustLevel.TRUSTED:
         raise ControllerError(
-            f"session {name}: its twin ends {verdict.level.name.lower()} ({reason}), so it cannot say what a "
+            f"session {name}: its twin ends {trust.level.value} ({trust.reason}), so it cannot say what a "
             "controller would do; record until the twin is trusted"
         )
 

@@ -23,7 +23,7 @@ from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
-from twinmatch.sessions.messages import decoded
+from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window, rms, stretches
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings

@@ -8,7 +8,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, number_list
+from twinmatch.comparing import (
+    REFUSED,
+    CandidateScore,
+    TrustLevel,
+    TrustStatement,
+    Verdict,
+    number_list,
+    statements_of,
+)
 from twinmatch.dynamics import Law, Parameters
 from twinmatch.signals import Window
 from twinmatch.twin import Fits, window_fits
@@ -101,8 +109,8 @@ class SessionSummary:
     """State at the end of a session: leader, its fit to the whole session, and nominal candidate."""
 
     nominal: str | None
-    level: TrustLevel
-    """Of the last verdict."""
+    trust: TrustStatement
+    """How far to trust the leader, by the last verdict."""
     parameters: Parameters | None
     """Of the leader; of the nominal candidate in old recordings without leaders."""
     fit_y: float
@@ -120,12 +128,6 @@ class SessionSummary:
     """Box–Jenkins order chosen for the nominal candidate."""
     range: TrustRange | None = None
     """Where forecasts have held."""
-    why: str = ""
-    """The reason of the level."""
-    trusted: tuple[float, ...] = ()
-    """Horizons, s, at which the last verdict trusts the leader's forecasts."""
-    doubts: str = ""
-    """At which others it does not, and why; empty if at none."""
     leader: str | None = None
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
@@ -250,7 +252,7 @@ def conclude(
     fit = fits.worst if fits else (math.nan, math.nan)
     return SessionSummary(
         nominal=last.nominal if last else None,
-        level=last.level if last else TrustLevel.UNKNOWN,
+        trust=statements_of(last).trust,
         parameters=shown.parameters if shown else None,
         fit_y=fit[0],
         fit_u=fit[1],
@@ -260,9 +262,6 @@ def conclude(
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
         range=_range(shown.parameters, tally.held) if shown else None,
-        why=last.level_reason if last else "",
-        trusted=last.trusted if last else (),
-        doubts=last.doubts if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,

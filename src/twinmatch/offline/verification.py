@@ -15,8 +15,8 @@ from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session
+from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.files import ProgressCallback
-from twinmatch.sessions.messages import decoded
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 

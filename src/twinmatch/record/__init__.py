@@ -1,4 +1,4 @@
-"""The records of a run: verdicts, matches and their parts, described in one place.
+"""The records of a run: verdicts, matches, requests, forecasts and their parts, described in one place.
 
 The dataclasses themselves are the description. Names and types of their fields give the fields of a message
 (`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`), JSON (`document_of`) and the bit for
@@ -9,9 +9,11 @@ An absent value (`None`) is NaN, −1 or an empty text in a message and null in 
 word, with a number beside it in a message.
 """
 
+from twinmatch.record.fields import SAMPLED
 from twinmatch.record.trees import (
     Tree,
     comparable,
+    description_tree,
     differences,
     document_of,
     fill,
@@ -24,8 +26,10 @@ from twinmatch.record.trees import (
 )
 
 __all__ = [
+    "SAMPLED",
     "Tree",
     "comparable",
+    "description_tree",
     "differences",
     "document_of",
     "fill",

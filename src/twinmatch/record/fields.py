@@ -6,13 +6,14 @@ import dataclasses
 import types
 from enum import Enum, auto
 from functools import cache
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import OperatingPoint
+from twinmatch.requirements import OfPlant, Requirement, RowsOf, SentAs
+from twinmatch.signals import OperatingPoint, Window
 
 
 class RecordError(TwinmatchError):
@@ -44,8 +45,16 @@ class Form(Enum):
     """A nested recorded object."""
     PARTS = auto()
     """A list of recorded objects of one type."""
+    BANDS = auto()
+    """Records of one type whose fields are arrays of the same length: each of these fields is a table, row by
+    row, with a column for each record. The first has the name of the whole, that of the others begins so."""
+    WINDOW = auto()
+    """A window, whose fields are written among those of its owner."""
     INLINE = auto()
     """A recorded object whose fields are written among those of its owner."""
+
+
+_AS_HERE: Final = SentAs()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +74,40 @@ class RecordField:
     """Prefix of the names of an inline object's fields."""
     is_derived: bool = False
     """Whether it is derived from the others, so that it is written but never read."""
+    requirements: tuple[Requirement, ...] = ()
+    """What is required of its values in a message."""
+    sent: SentAs = _AS_HERE
+    """How it is written in a message."""
+    rows: str = ""
+    """Of bands: the field with a value for each of their rows."""
+    plant: str = ""
+    """Of a window: the field with parameters of its plant."""
+
+    @property
+    def key(self) -> str:
+        """Its name in a message."""
+        return self.sent.name or self.name
+
+    @property
+    def columns_of_bands(self) -> dict[str, str]:
+        """Of bands: the name of each table in a message, by the field of the records."""
+        first, *others = (field.name for field in dataclasses.fields(self.kind))
+        return {first: self.key} | {name: f"{self.key}_{name}" for name in others}
+
+    def key_inside(self, key: str) -> str:
+        """The name in a message of a field of an inline object."""
+        if self.sent.is_first_bare and key == fields_of(self.kind)[0].key:
+            return self.key
+        return f"{self.prefix}{key}"
+
+
+SAMPLED: Final = {
+    "reference": "references",
+    "output": "outputs",
+    "input": "inputs",
+    "disturbances": "disturbances",
+}
+"""Fields of samples, windows and descriptions by their names in messages."""
 
 
 def fields_of(owner: type) -> tuple[RecordField, ...]:
@@ -74,13 +117,13 @@ def fields_of(owner: type) -> tuple[RecordField, ...]:
 
 @cache
 def _fields_of(owner: Any) -> tuple[RecordField, ...]:
-    hints = get_type_hints(owner)
+    hints = get_type_hints(owner, include_extras=True)
     columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
     if dataclasses.is_dataclass(owner):
         columns = {f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)}
     fields = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
     for name in getattr(owner, "DERIVED", ()):
-        returned = get_type_hints(getattr(owner, name).fget)["return"]
+        returned = get_type_hints(getattr(owner, name).fget, include_extras=True)["return"]
         fields.append(dataclasses.replace(_field(owner, name, returned, 0), is_derived=True))
     return tuple(fields)
 
@@ -90,44 +133,85 @@ def values_name(name: str) -> str:
     return f"{name.removesuffix('s')}_values"
 
 
-def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
-    kind, optional = _unless_none(hint)
-    origin = get_origin(kind)
-    inside = get_args(kind)
-    form = None
-    prefix = ""
-    if hint == OperatingPoint:
-        form = Form.POINT
-    elif kind in (bool, int, float, str):
-        form = Form.PLAIN
-    elif kind is Parameters:
-        form = Form.PARAMETERS
-    elif origin is np.ndarray:
-        form = Form.ARRAY
-        kind = float
-    elif origin is tuple and inside == (int, int):
-        form = Form.SPAN
-        kind = int
-    elif origin is tuple and inside[1:] == (...,):
-        form, kind = _several(inside[0])
-    elif inside == (str, float):
-        form = Form.NAMED
-    elif isinstance(kind, type) and issubclass(kind, Enum):
-        form = Form.WORD
-    elif _is_named_tuple(kind):
-        form = Form.INLINE
-        prefix = f"{name}_"
-    elif dataclasses.is_dataclass(kind):
-        form = Form.INLINE if _is_named_tuple(owner) else Form.PART
+def _field(owner: type, name: str, declared: Any, columns: int) -> RecordField:
+    hint, *remarks = get_args(declared) if get_origin(declared) is Annotated else (declared,)
+    requirements = tuple(remark for remark in remarks if hasattr(remark, "problem"))
+    sent = next((remark for remark in remarks if isinstance(remark, SentAs)), _AS_HERE)
+    rows = next((requirement.field for requirement in requirements if isinstance(requirement, RowsOf)), "")
+    plant = next((remark.parameters for remark in remarks if isinstance(remark, OfPlant)), "")
+    unless_none, optional = _unless_none(hint)
+    form, kind = _form_of(owner, hint, unless_none, sent)
     if form is None:
         raise RecordError(f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded")
-    return RecordField(name, form, kind, optional, columns, prefix)
+    has_prefix = form is Form.INLINE and (_is_named_tuple(kind) or sent.is_first_bare)
+    return RecordField(
+        name,
+        form,
+        kind,
+        optional,
+        columns,
+        prefix=f"{sent.name or name}_" if has_prefix else "",
+        requirements=requirements,
+        sent=sent,
+        rows=rows,
+        plant=plant,
+    )
+
+
+def _form_of(owner: type, hint: Any, kind: Any, sent: SentAs) -> tuple[Form | None, Any]:
+    """The form of a field with this type, and the type of its value or elements; None: it is not recorded.
+
+    `kind` is the type without None.
+    """
+    if hint == OperatingPoint or sent.is_listed:
+        return Form.POINT, kind
+    if get_origin(kind) is not None:
+        return _form_of_container(kind)
+    if kind in _FORMS:
+        return _FORMS[kind], kind
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return Form.WORD, kind
+    return _form_of_record(owner, kind, sent), kind
+
+
+_FORMS: Final[dict[Any, Form]] = {
+    **dict.fromkeys((bool, int, float, str), Form.PLAIN),
+    Parameters: Form.PARAMETERS,
+    Window: Form.WINDOW,
+}
+
+
+def _form_of_record(owner: type, kind: Any, sent: SentAs) -> Form | None:
+    """The form of a field that holds a recorded object; None: it holds something else."""
+    if _is_named_tuple(kind):
+        return Form.INLINE
+    if not dataclasses.is_dataclass(kind):
+        return None
+    return Form.INLINE if _is_named_tuple(owner) or sent.is_first_bare else Form.PART
+
+
+def _form_of_container(kind: Any) -> tuple[Form | None, Any]:
+    inside = get_args(kind)
+    if get_origin(kind) is np.ndarray:
+        return Form.ARRAY, float
+    if get_origin(kind) is tuple and inside == (int, int):
+        return Form.SPAN, int
+    if get_origin(kind) is tuple and inside[1:] == (...,):
+        return _several(inside[0])
+    return (Form.NAMED if inside == (str, float) else None), kind
 
 
 def _several(inside: Any) -> tuple[Form, Any]:
     if inside in (int, float, str):
         return Form.LIST, inside
-    return (Form.ROWS, float) if get_origin(inside) is tuple else (Form.PARTS, inside)
+    if get_origin(inside) is tuple:
+        return Form.ROWS, float
+    return (Form.BANDS if _has_only_arrays(inside) else Form.PARTS), inside
+
+
+def _has_only_arrays(kind: Any) -> bool:
+    hints = get_type_hints(kind).values()
+    return bool(hints) and all(get_origin(hint) is np.ndarray for hint in hints)
 
 
 def _unless_none(hint: Any) -> tuple[Any, bool]:

@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from twinmatch.description import Description
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
-from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
-from twinmatch.signals import NANOSECONDS, point_of, point_values
+from twinmatch.record.fields import SAMPLED, Form, RecordError, RecordField, fields_of, values_name
+from twinmatch.signals import NANOSECONDS, SignalError, Window, point_of, point_values
 
 Tree = dict[str, Any]
 
@@ -107,6 +108,11 @@ def tree_of_message(message: Any) -> Tree:
     return tree
 
 
+def description_tree(description: Description, period: float) -> Tree:
+    """A plant as in `PlantDescription`; `period` (s) is the sampling period it is run with."""
+    return tree_of(description) | {"period": period}
+
+
 def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
     """The parameters as in a message; for None without names."""
     fields = records.named(parameters)._asdict()
@@ -123,32 +129,47 @@ def _absent_part(kind: type) -> Tree:
     return {field.name: math.nan for field in fields_of(kind)}
 
 
+def _bands_tree(field: RecordField, bands: Sequence[Any]) -> Tree:
+    """A table for each field of the bands, row by row."""
+    tree: Tree = {}
+    for name, key in field.columns_of_bands.items():
+        tree[key] = np.stack([getattr(band, name) for band in bands], axis=1).ravel().tolist()
+    return tree
+
+
+def _window_tree(window: Window) -> Tree:
+    signals = {name: getattr(window, field).ravel().tolist() for name, field in SAMPLED.items()}
+    return {**signals, "first": window.first, "period": window.period, "lost": list(window.lost)}
+
+
 _WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
-    Form.PLAIN: lambda f, v: {f.name: _ABSENT[f.kind] if v is None else v},
-    Form.WORD: lambda f, v: {f"{f.name}_name": v.value},
-    Form.LIST: lambda f, v: {f.name: list(v)},
-    Form.ROWS: lambda f, v: {f.name: [item for row in v for item in row]},
-    Form.ARRAY: lambda f, v: {f.name: v.ravel().tolist()},
-    Form.POINT: lambda f, v: {f.name: list(point_values(v))},
+    Form.PLAIN: lambda f, v: {f.key: _ABSENT[f.kind] if v is None else v},
+    Form.WORD: lambda f, v: {f"{f.key}_name": v.value},
+    Form.LIST: lambda f, v: {f.key: list(v)},
+    Form.ROWS: lambda f, v: {f.key: [item for row in v for item in row]},
+    Form.ARRAY: lambda f, v: {f.key: v.ravel().tolist()},
+    Form.POINT: lambda f, v: {f.key: list(point_values(v))},
     Form.SPAN: lambda _, v: {"first": v[0], "last": v[1]},
-    Form.NAMED: lambda f, v: {f.name: list(v), values_name(f.name): list(v.values())},
-    Form.PARAMETERS: lambda f, v: {f.name: parameters_tree(v)},
-    Form.PART: lambda f, v: {f.name: _absent_part(f.kind) if v is None else tree_of(v)},
-    Form.PARTS: lambda f, v: {f.name: [tree_of(item) for item in v]},
-    Form.INLINE: lambda f, v: {f"{f.prefix}{key}": item for key, item in tree_of(v).items()},
+    Form.NAMED: lambda f, v: {f.key: list(v), values_name(f.key): list(v.values())},
+    Form.PARAMETERS: lambda f, v: {f.key: parameters_tree(v)},
+    Form.PART: lambda f, v: {f.key: _absent_part(f.kind) if v is None else tree_of(v)},
+    Form.PARTS: lambda f, v: {f.key: [tree_of(item) for item in v]},
+    Form.BANDS: _bands_tree,
+    Form.WINDOW: lambda _, v: _window_tree(v),
+    Form.INLINE: lambda f, v: {f.key_inside(key): item for key, item in tree_of(v).items()},
 }
 """How a field of each form is written into a tree."""
 
 
 def _read_plain(field: RecordField, tree: Tree) -> Any:
-    value = tree[field.name]
+    value = tree[field.key]
     kind = field.kind
     absent = math.isnan(value) if kind is float else value == _ABSENT[kind]
     return None if field.optional and absent else kind(value)
 
 
 def _read_word(field: RecordField, tree: Tree) -> Any:
-    word = tree[f"{field.name}_name"]
+    word = tree[f"{field.key}_name"]
     try:
         return field.kind(word)
     except ValueError as error:
@@ -157,42 +178,75 @@ def _read_word(field: RecordField, tree: Tree) -> Any:
 
 
 def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
-    flat = np.array(tree[field.name], dtype=np.float64)
+    flat = np.array(tree[field.key], dtype=np.float64)
     if columns == 0:
         return flat
     return flat.reshape((-1, columns) if columns > 0 else (math.isqrt(flat.size),) * 2)
 
 
 def _read_parameters(field: RecordField, tree: Tree) -> Parameters | None:
-    parameters = parameters_of(tree[field.name])
+    parameters = parameters_of(tree[field.key])
     if parameters is None and not field.optional:
-        raise RecordError(f"record: {field.name} are missing")
+        raise RecordError(f"record: {field.key} are missing")
     return parameters
 
 
 def _read_part(field: RecordField, tree: Tree) -> Any:
-    part = tree[field.name]
+    part = tree[field.key]
     absent = field.optional and math.isnan(next(iter(part.values())))
     return None if absent else object_of(field.kind, part)
 
 
 def _read_inline(field: RecordField, tree: Tree) -> Any:
     prefix = field.prefix
-    return object_of(field.kind, {k.removeprefix(prefix): v for k, v in tree.items() if k.startswith(prefix)})
+    inside = {k.removeprefix(prefix): v for k, v in tree.items() if k.startswith(prefix)}
+    if field.sent.is_first_bare:
+        inside[fields_of(field.kind)[0].key] = tree[field.key]
+    return object_of(field.kind, inside)
+
+
+def _read_bands(field: RecordField, tree: Tree) -> Any:
+    rows = len(tree[field.rows])
+    tables = [np.array(tree[key]).reshape(rows, -1).T for key in field.columns_of_bands.values()]
+    return tuple(field.kind(*columns) for columns in zip(*tables, strict=True))
+
+
+def _read_window(field: RecordField, tree: Tree) -> Window:
+    """A window; `SignalError`: its values do not make samples, or samples outside it are called lost."""
+    parameters = parameters_of(tree[field.plant])
+    if parameters is None:
+        raise RecordError(f"record: {field.plant} are missing")
+    count = len(tree["output"]) // len(parameters.model.plant.outputs)
+    signals = {}
+    for name, signal in SAMPLED.items():
+        values = np.array(tree[name])
+        if not count or values.size % count:
+            msg = f"match request: {values.size} values of {name} do not divide evenly among {count} samples"
+            raise SignalError(msg)
+        signals[signal] = values.reshape(count, -1)
+    lost = np.array(tree["lost"], dtype=np.int64) - tree["first"]
+    if lost.size and not (lost.min() >= 0 and lost.max() < count):
+        msg = f"match request: lost samples {tree['lost']} lie outside its window of {count} samples"
+        raise SignalError(msg)
+    is_seen = np.ones(count, dtype=np.bool_)
+    is_seen[lost] = False
+    return Window(**signals, first=tree["first"], period=tree["period"], seen=is_seen)
 
 
 _READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
     Form.PLAIN: _read_plain,
     Form.WORD: _read_word,
-    Form.LIST: lambda f, tree: tuple(f.kind(item) for item in tree[f.name]),
+    Form.LIST: lambda f, tree: tuple(f.kind(item) for item in tree[f.key]),
     Form.ROWS: lambda f, tree: tuple(tuple(row) for row in _read_array(f, tree, -1).tolist()),
     Form.ARRAY: lambda f, tree: _read_array(f, tree, f.columns),
-    Form.POINT: lambda f, tree: point_of(tree[f.name]),
+    Form.POINT: lambda f, tree: point_of(tree[f.key]),
     Form.SPAN: lambda _, tree: (int(tree["first"]), int(tree["last"])),
-    Form.NAMED: lambda f, tree: dict(zip(tree[f.name], tree[values_name(f.name)], strict=True)),
+    Form.NAMED: lambda f, tree: dict(zip(tree[f.key], tree[values_name(f.key)], strict=True)),
     Form.PARAMETERS: _read_parameters,
     Form.PART: _read_part,
-    Form.PARTS: lambda f, tree: tuple(object_of(f.kind, item) for item in tree[f.name]),
+    Form.PARTS: lambda f, tree: tuple(object_of(f.kind, item) for item in tree[f.key]),
+    Form.BANDS: _read_bands,
+    Form.WINDOW: _read_window,
     Form.INLINE: _read_inline,
 }
 """How a field of each form is read from a tree."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from twinmatch.dynamics import PidGains
 from twinmatch.errors import TwinmatchError
+from twinmatch.requirements import FINITE
 from twinmatch.signals import FloatArray
 
 GAINS: Final = ("proportional", "integral", "derivative", "back_calculation", "on_measurement")
@@ -51,9 +52,9 @@ class LawReport:
     """Stands for the twins and the law that were asked."""
     although: bool = False
     """Whether it drives although it was not found safe."""
-    proportional: tuple[float, ...] = ()
-    integral: tuple[float, ...] = ()
-    derivative: tuple[float, ...] = ()
+    proportional: Annotated[tuple[float, ...], FINITE] = ()
+    integral: Annotated[tuple[float, ...], FINITE] = ()
+    derivative: Annotated[tuple[float, ...], FINITE] = ()
     reason: str = ""
     """The answer in a sentence; why it is refused, or was taken back."""
     request: str = ""

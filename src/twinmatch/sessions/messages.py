@@ -1,15 +1,10 @@
-"""Topics and messages of a session: definitions, quality of service, the CDR bytes of our own types.
+"""Topics and messages of a session: definitions and quality of service; their bytes are those of `cdr`.
 
 The types of plant topics are in `definitions`, so that no ROS installation is needed. The texts are those of
 the installed `.msg` files, including comments, because readers show them; the hashes are the RIHS01 type
 hashes that ROS 2 computes from the fields. Tests compare both with an installed ROS 2, and the hashes with an
 independent implementation. Header, Time, Temperature and Float64 are definitions of the ROS 2 common
 interfaces (Apache-2.0).
-
-A CDR message begins with four bytes that name the encoding (here little-endian CDR, 00 01 00 00), and
-every field is aligned to its own size, **counted from after those four bytes**. The position of the
-fields after a string therefore depends on the string's length. A sequence is its length and its elements.
-The code for these few types is short, needs no library, and decodes an hour of samples in milliseconds.
 
 Samples recorded with the first definition of `LoopSample` are converted: playing or judging a session needs
 nothing else. Recorded verdicts and matches are decoded with the definitions in the file where they are
@@ -20,18 +15,14 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stderr
-from functools import lru_cache
-from io import StringIO
-from itertools import accumulate
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Final, NamedTuple
 
 from twinmatch.sessions.files import SessionError
-from twinmatch.signals import NANOSECONDS, Sample, incomplete
+from twinmatch.signals import Sample
 
 
 def fields_of(schema: str) -> list[str]:
@@ -210,29 +201,6 @@ def topics_of(samples: Sequence[Sample]) -> tuple[Topic, ...]:
     return PLANT_TOPICS if samples[0].shape[:3] == (1, 1, 1) else (SAMPLE,)
 
 
-def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
-    """The messages that the plant publishes for these samples, in the order of a live loop.
-
-    The reference comes first (only when it changed), then the temperature, then the sample.
-
-    Args:
-        samples: in order.
-        topics: which of `PLANT_TOPICS` are wanted.
-
-    Raises:
-        SessionError: a stamp is negative or past 2038.
-    """
-    reference: float | None = None
-    for sample in samples:
-        stamp = sample.stamp
-        if REFERENCE in topics and sample.reference != reference:
-            reference = sample.reference
-            yield Message(REFERENCE, stamp, stamp, encode_float64(reference))
-        if TEMPERATURE_READING in topics:
-            yield Message(TEMPERATURE_READING, stamp, stamp, encode_temperature(stamp, sample.output))
-        yield Message(SAMPLE, stamp, stamp, encode_sample(sample))
-
-
 @lru_cache(maxsize=64)
 def current_topic(topic: Topic) -> Topic:
     """The topic with the current definition of its messages; unchanged if it is current or unknown."""
@@ -241,153 +209,16 @@ def current_topic(topic: Topic) -> Topic:
     return topic
 
 
-def current(message: Message) -> Message:
-    """Convert a message to the current definition.
-
-    Raises:
-        SessionError: the message does not match the definition in its file.
-    """
-    topic = current_topic(message.topic)
-    if topic == message.topic:
-        return message
-    old = decoded(message)
-    stamp = old.header.stamp.sec * NANOSECONDS + old.header.stamp.nanosec
-    sample = Sample(old.index, stamp, old.reference, old.temperature, old.pwm)
-    return message._replace(topic=topic, data=encode_sample(sample, old.header.frame_id))
+_KINDS: Final = {
+    "/twin/match": ("Match", Qos(depth=1000)),
+    "/twin/model_score": ("ModelScore", Qos(depth=1000)),
+    "/plant/description": ("PlantDescription", Qos(durability="transient_local", depth=1)),
+}
 
 
-def decoded(message: Message) -> Any:
-    """The fields of a message, by the definition in its file.
-
-    Raises:
-        SessionError: the message does not match it.
-    """
-    name = message.topic.type.rsplit("/", 1)[-1]
-    try:
-        return _decoder(message.topic)(message.data)
-    except Exception as error:  # the library raises many kinds for damaged bytes
-        msg = f"session: a {name} of {len(message.data)} bytes does not match its definition ({error})"
-        raise SessionError(msg) from error
-
-
-@lru_cache(maxsize=16)
-def _decoder(topic: Topic) -> Callable[[bytes], Any]:
-    """Decodes messages by the definition in their file."""
-    from mcap.records import Schema  # noqa: PLC0415 - only old sessions need it
-    from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
-
-    schema = Schema(id=1, name=topic.type, encoding="ros2msg", data=topic.schema.encode())
-    with redirect_stderr(StringIO()):  # the library prints a damaged definition before it raises
-        decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
-    return decoder
-
-
-FRAME = "plate"
-"""`header.frame_id` of everything measured at the plate."""
-
-
-_LITTLE = b"\x00\x01\x00\x00"
-_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
-_HEADER = {order: struct.Struct(order + "iII") for order in "<>"}
-_LENGTH = {order: struct.Struct(order + "I") for order in "<>"}
-_FLOAT64 = struct.Struct("<4sd")
-
-
-@lru_cache(maxsize=16)
-def _stamped(frame: bytes, fields: str) -> struct.Struct:
-    """Layout of a header with this frame (including its final NUL), followed by 8-byte fields."""
-    padding = -(12 + len(frame)) % 8
-    return struct.Struct(f"<4siII{len(frame)}s{padding}x{fields}")
-
-
-def _header(stamp: int, frame: str) -> tuple[bytes, int, int, int, bytes]:
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    if not 0 <= seconds < 2**31:
-        raise SessionError(f"session: the stamp {stamp} ns is outside 1970 to 2038, the range of ROS time")
-    raw = frame.encode() + b"\0"
-    return _LITTLE, seconds, nanoseconds, len(raw), raw
-
-
-def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
-    """Encode a sample as `twinmatch_msgs/msg/LoopSample`.
-
-    Raises:
-        SessionError: the stamp is negative or past 2038.
-    """
-    head = _header(sample.stamp, frame)
-    r = sample.references
-    y = sample.outputs
-    u = sample.inputs
-    d = sample.disturbances
-    signals = len(r), *r, len(y), *y, len(u), *u, len(d), *d
-    return _stamped(head[-1], _arrays(sample.shape)).pack(*head, sample.index, *signals)
-
-
-@lru_cache(maxsize=16)
-def _arrays(lengths: tuple[int, ...]) -> str:
-    """Layout of an index and of sequences of float64 with these lengths."""
-    fields = "Q"
-    whole = True
-    for length in lengths:
-        if not length:
-            fields += "I"
-            whole = not whole
-        else:
-            fields += f"I4x{length}d" if whole else f"I{length}d"
-            whole = True
-    return fields
-
-
-def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
-    """Encode a `sensor_msgs/msg/Temperature`, °C and °C²; a variance of 0 means unknown.
-
-    Raises:
-        SessionError: the stamp is negative or past 2038.
-    """
-    head = _header(stamp, frame)
-    return _stamped(head[-1], "dd").pack(*head, temperature, variance)
-
-
-def encode_float64(value: float) -> bytes:
-    """Encode a `std_msgs/msg/Float64`."""
-    return _FLOAT64.pack(_LITTLE, value)
-
-
-def decode_sample(data: bytes) -> Sample:
-    """Decode the sample of a `twinmatch_msgs/msg/LoopSample`, in either byte order.
-
-    Raises:
-        SessionError: another encoding than CDR, too few bytes, or no reference, output or input.
-    """
-    order = _ORDER.get(bytes(data[:2]))
-    if order is None:
-        msg = f"session: a LoopSample is encoded as {bytes(data[:4]).hex(' ')!r}; only plain CDR is read"
-        raise SessionError(msg)
-    try:
-        seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
-        position = 4 + (12 + length + 7) // 8 * 8
-        lengths = _lengths(order, data, position + 8)
-        index, *_ = values = struct.unpack_from(order + _arrays(lengths), data, position)
-    except struct.error:
-        msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
-        raise SessionError(msg) from None
-    if missing := incomplete(index, lengths[:3]):
-        raise SessionError(f"session: {missing}")
-    _, outputs, inputs, behind = accumulate((length + 1 for length in lengths[:3]), initial=2)
-    return Sample(
-        index,
-        seconds * NANOSECONDS + nanoseconds,
-        values[2 : outputs - 1],
-        values[outputs : inputs - 1],
-        values[inputs : behind - 1],
-        values[behind:],
-    )
-
-
-def _lengths(order: str, data: bytes, position: int) -> tuple[int, ...]:
-    """Lengths of the four sequences of float64; `position` is that of the first."""
-    lengths = []
-    for _ in range(4):
-        lengths.append(_LENGTH[order].unpack_from(data, position)[0])
-        position = 4 + (position + 7) // 8 * 8 + 8 * lengths[-1] if lengths[-1] else position + 4
-    return tuple(lengths)
+@cache
+def topic_named(name: str) -> Topic:
+    """The topic of this name with its definition; one of `/twin/match`, `/twin/model_score` and
+    `/plant/description`."""
+    kind, qos = _KINDS[name]
+    return topic_of(name, f"twinmatch_msgs/msg/{kind}", "", qos)

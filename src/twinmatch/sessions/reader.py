@@ -18,16 +18,9 @@ from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import Final
 
+from twinmatch.sessions.cdr import current, decode_sample
 from twinmatch.sessions.files import ProgressCallback, SessionError, part_of
-from twinmatch.sessions.messages import (
-    SAMPLE,
-    Message,
-    Topic,
-    current,
-    current_topic,
-    decode_sample,
-    fields_of,
-)
+from twinmatch.sessions.messages import SAMPLE, Message, Topic, current_topic, fields_of
 from twinmatch.sessions.metadata import (
     CONTINUES,
     counts_listed,

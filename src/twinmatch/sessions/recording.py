@@ -22,8 +22,9 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
+from twinmatch.sessions.cdr import plant_messages
 from twinmatch.sessions.files import DiskError, ProgressCallback, SessionError
-from twinmatch.sessions.messages import SAMPLE, Topic, plant_messages, topics_of
+from twinmatch.sessions.messages import SAMPLE, Topic, topics_of
 from twinmatch.sessions.metadata import (
     METADATA,
     REPAIRED,

@@ -17,8 +17,9 @@ from itertools import pairwise
 from statistics import median
 from typing import Final
 
+from twinmatch.sessions.cdr import current, decode_sample, decoded
 from twinmatch.sessions.files import SessionError
-from twinmatch.sessions.messages import SAMPLE, Message, current, decode_sample, decoded
+from twinmatch.sessions.messages import SAMPLE, Message
 from twinmatch.signals import NANOSECONDS, Sample
 
 _AROUND: Final = 64

@@ -14,7 +14,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
 from twinmatch.description import UNDESCRIBED
-from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.messages import record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.parameters.declared import Setting
@@ -192,7 +192,7 @@ class ExperimentAsking(Asking):
         return super().close()
 
     def _on_plant(self, message: messages.PlantDescription) -> None:
-        self._described = description_from(message)
+        self._described = record_of(message)
 
     def _on_report(self, report: ExperimentReport) -> None:
         if report.request != self.word:

@@ -18,7 +18,14 @@ from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match
-from twinmatch.showing.quantities import number, span_text, with_unit
+from twinmatch.showing.quantities import (
+    ParameterFormat,
+    number,
+    outputs_unit,
+    parameter_format,
+    span_text,
+    with_unit,
+)
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
@@ -296,6 +303,36 @@ def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> lis
     y, u = (declared.unit or declared.name for declared in (plant.output, plant.drive))
     unit = f"{y}²+{u}²" if len(outputs_of(candidate.orders)) > 1 else f"{y}²"
     return [c._replace(unit=unit) if c.attribute == "mdl" else c for c in criteria]
+
+
+class FamilyTable(NamedTuple):
+    """What displays show of a verdict's candidates; each arranges these columns in its own way."""
+
+    candidates: tuple[CandidateScore, ...]
+    point: str
+    """Unit of the operating points."""
+    parameters: tuple[ParameterFormat, ...]
+    """The free parameters of the family's structure."""
+    criteria: tuple[FigureColumn, ...]
+    """Those with a value, for output and input together; empty where the candidates have no models."""
+    figures: tuple[FigureColumn, ...]
+
+    def parameter(self, candidate: CandidateScore, shown: ParameterFormat) -> str:
+        """A parameter of a candidate; a dash where its structure does not have it."""
+        return shown.text(candidate.parameters.get(shown.name, math.nan))
+
+
+def family_table_of(verdict: Verdict) -> FamilyTable:
+    """The table of a verdict with at least one candidate in its family."""
+    model = verdict.family[0].parameters.model
+    modelled = verdict.modelled
+    return FamilyTable(
+        candidates=verdict.family,
+        point=outputs_unit(model.plant),
+        parameters=tuple(parameter_format(model.plant, name) for name in model.structure.free),
+        criteria=tuple(for_both(modelled[0], computed(modelled))) if modelled else (),
+        figures=FIGURES,
+    )
 
 
 def _figure(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from twinmatch.comparing import number_list
+from twinmatch.comparing import ahead_words, statements_of
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import (
     NEAR,
@@ -283,12 +283,11 @@ def _trust(backtest: Backtest) -> Iterator[str]:
     last = backtest.last
     name, *_ = backtest.plant.outputs
     if last is not None and last.leader is not None:
-        trusted = last.trusted
+        trust = statements_of(last).trust
         forecasts = "they"
-        doubts = last.doubts
         if backtest.plant.channel_of is not None:
-            trusted = next(score.trusted for score in last.signals if score.signal == name)
+            of_output = next(score.trusted for score in last.signals if score.signal == name)
+            trust = trust._replace(horizons=of_output, doubts="")
             forecasts = f"the forecasts of {signal_names(backtest.plant).output}"
-            doubts = ""
-        ahead = f"{number_list(trusted)} s ahead" if trusted else "at no horizon"
-        yield f"At the end {forecasts} pass the test of trust {ahead}{f': {doubts}' if doubts else ''}."
+        why = f": {trust.doubts}" if trust.doubts else ""
+        yield f"At the end {forecasts} pass the test of trust {ahead_words(trust.horizons)}{why}."

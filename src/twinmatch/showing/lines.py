@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from typing import IO, TYPE_CHECKING, Final
 
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import TrustLevel, Verdict, plant_fault
 from twinmatch.printing import one_line
 from twinmatch.showing.verdicts import COLUMNS, News, row
 from twinmatch.twin import MatchReport
@@ -35,8 +35,9 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
     `period` is the sample time, s. Gains are in characters, misses in half widths of the leader's bands.
     """
     *cells, why = row(verdict, period).values()
-    named = f"{verdict.named_fault}: " if verdict.fault else ""
-    reason = " ".join(f"{named}{why}".split())
+    fault = plant_fault(verdict)
+    evidence = why if fault is None else fault._replace(reason=why).with_reason
+    reason = " ".join(evidence.split())
     return f"{_columns(cells)}\n{'':{_INDENT}}{reason}"
 
 

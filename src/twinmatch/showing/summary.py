@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
-from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, number_list
+from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, ahead_words
 from twinmatch.offline.summary import SessionSummary, ShownTwin
 from twinmatch.record import document_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, shown_outputs
@@ -28,14 +28,15 @@ def _judgement(summary: SessionSummary) -> str:
         return f"No twin to trust yet: {_missing(summary)}"
     shown = summary.leader or str(summary.nominal)
     parts = [f"{'Leader' if summary.leader else 'Nominal'}: {_named(summary, shown)}"]
-    parts.append(_trust(summary))
-    if math.isfinite(summary.fit_y) and summary.level is not TrustLevel.FAULT:
+    parts.append(trust_words(summary))
+    level = summary.trust.level
+    if math.isfinite(summary.fit_y) and level is not TrustLevel.FAULT:
         outputs = shown_outputs(summary.parameters.model.plant) if summary.parameters else ["output"]
         fit_of_output = summary.fits.outputs if summary.fits else (summary.fit_y,)
         fit = ", ".join(
             f"{y} fit {percent(share)} %" for y, share in zip(outputs, fit_of_output, strict=True)
         )
-        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
+        if summary.fit_y < _POOR and level is TrustLevel.TRUSTED:
             fit = f"left without readings it drifts off ({fit})"
         parts.append(fit)
     return f"{'; '.join(parts)}."
@@ -43,13 +44,14 @@ def _judgement(summary: SessionSummary) -> str:
 
 def _missing(summary: SessionSummary) -> str:
     """Why there is no twin, and what to do."""
-    if summary.level is TrustLevel.FAULT:
-        return f"{summary.why}. Look at the plant first."
+    trust = summary.trust
+    if trust.level is TrustLevel.FAULT:
+        return f"{trust.reason}. Look at the plant first."
     verdicts = f"{summary.verdicts} verdicts, but no valid match."
     if summary.refusal:
         return f"{verdicts} {summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
-    if summary.why and summary.why != LEVEL_WORDS[TrustLevel.UNKNOWN]:
-        return f"{verdicts} {summary.why[0].upper()}{summary.why[1:]}."
+    if trust.reason and trust.reason != LEVEL_WORDS[TrustLevel.UNKNOWN]:
+        return f"{verdicts} {trust.reason[0].upper()}{trust.reason[1:]}."
     if summary.closed:
         return f"{verdicts} The loop needs set-point steps far above the noise, some minutes apart."
     return f"{verdicts} The input has to move far above its noise, for some minutes in total."
@@ -62,26 +64,32 @@ def _named(summary: SessionSummary, name: str) -> str:
     return f"match {'at' if summary.closed else 'near'} {name}"
 
 
-def _trust(summary: SessionSummary) -> str:
+def trust_words(summary: SessionSummary) -> str:
     """How far to trust the leader now: names only horizons and levels at which it passes the test."""
-    ahead = f"{number_list(summary.trusted)} s ahead {summary.range}" if summary.trusted else ""
-    proven = ahead if summary.range else ""
-    if summary.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
-        word = "doubtful now" if summary.level is TrustLevel.DOUBTFUL else "do not trust it now"
-        return f"{word}: {summary.why}{f' (its forecasts held {proven})' if proven else ''}"
-    if summary.level is TrustLevel.UNKNOWN or not proven:
-        why = summary.why if summary.level is TrustLevel.UNKNOWN else ""
+    trust = summary.trust
+    proven = f"{ahead_words(trust.horizons)} {summary.range}" if trust.horizons and summary.range else ""
+    if trust.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
+        word = "doubtful now" if trust.level is TrustLevel.DOUBTFUL else "do not trust it now"
+        return f"{word}: {trust.reason}{f' (its forecasts held {proven})' if proven else ''}"
+    if trust.level is TrustLevel.UNKNOWN or not proven:
+        why = trust.reason if trust.level is TrustLevel.UNKNOWN else ""
         return f"how far to trust it is not known yet{f': {why}' if why else ''}"
-    return f"trust it {proven}, but {summary.doubts}" if summary.doubts else f"trust it {proven}"
+    return f"trust it {proven}, but {trust.doubts}" if trust.doubts else f"trust it {proven}"
+
+
+def fault_spans(summary: SessionSummary) -> list[str]:
+    """Each fault of the session, oldest first, and when it showed."""
+    faults = [stretch for stretch in summary.stretches if stretch.fault]
+    spans = [f"{fault.fault} from {fault.times(summary.period)}" for fault in faults]
+    if faults and faults[-1] is summary.stretches[-1]:
+        spans[-1] = f"{faults[-1].fault} since {faults[-1].first * summary.period:.0f} s"
+    return spans
 
 
 def _faults(summary: SessionSummary) -> str:
-    faults = [stretch for stretch in summary.stretches if stretch.fault]
-    spans = [f"{fault.fault} from {fault.times(summary.period)}" for fault in faults[-MAX_FAULTS:]]
-    if spans and faults[-1] is summary.stretches[-1]:
-        spans[-1] = f"{faults[-1].fault} since {faults[-1].first * summary.period:.0f} s"
-    older = [f"{len(faults) - MAX_FAULTS} before"] if len(faults) > MAX_FAULTS else []
-    return f"Faults: {'; '.join([*older, *spans])}." if spans else ""
+    spans = fault_spans(summary)
+    older = [f"{len(spans) - MAX_FAULTS} before"] if len(spans) > MAX_FAULTS else []
+    return f"Faults: {'; '.join([*older, *spans[-MAX_FAULTS:]])}." if spans else ""
 
 
 def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]:
@@ -133,7 +141,7 @@ def document(
             "leader": summary.leader,
             "leader_confidence": finite(summary.leader_confidence),
             "nominal": summary.nominal,
-            "level": summary.level.value,
+            "level": summary.trust.level.value,
             "parameters": dict(summary.parameters) if summary.parameters else None,
             "fit": finite(summary.fits.shown if summary.fits else dict.fromkeys("yu")),
             "order": summary.order,

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from math import nan
 from typing import Final, NamedTuple
 
 from rich.cells import cell_len
@@ -19,21 +18,18 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, statements_of
 from twinmatch.compiled import told
-from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.console import Console
-from twinmatch.showing.family import CRITERIA, FIGURES, FigureColumn, chosen_score, for_both
+from twinmatch.showing.family import FamilyTable, FigureColumn, chosen_score, family_table_of
 from twinmatch.showing.lines import STYLES, Lines, redraws
-from twinmatch.showing.quantities import number, outputs_unit, parameter_format, percent, point_number
+from twinmatch.showing.quantities import ParameterFormat, number, percent, point_number
 from twinmatch.showing.verdicts import (
     Event,
     EventKind,
     events_since,
-    fault_words,
     leader_words,
-    level_words,
     missed,
     trust_by_signal,
 )
@@ -162,7 +158,7 @@ class Screen:
             shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
         if trust_of_signals := trust_by_signal(verdict):
             shown += [Text(), signal_table(trust_of_signals)]
-        if verdict is not None and verdict.candidates:
+        if verdict is not None and verdict.family:
             accepted = [report.match for report in self._matches if report.match.accepted]
             determined = {m.samples: m.believed for m in accepted if m.samples is not None}
             shown += [Text(), family_table(verdict, determined, width), Text(LEGEND, style="dim")]
@@ -206,11 +202,11 @@ def view_on(console: Console, title: str, period: float = 1.0, total: int | None
 
 def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     """Level, leader, nominal, fault and reason, each after its label."""
-    level = TrustLevel.UNKNOWN if verdict is None else verdict.level
+    trust, fault, _ = statements_of(verdict)
+    style = STYLES[trust.level]
     grid = Table.grid(padding=(0, 2, 0, 0))
-    badge = (f" {level.value.upper()} ", f"{STYLES[level]} reverse")
-    words = f"  {level_words(verdict)}"
-    grid.add_row("level", Text.assemble(badge, (words, STYLES[level])))
+    badge = (f" {trust.level.value.upper()} ", f"{style} reverse")
+    grid.add_row("level", Text.assemble(badge, (f"  {trust.reason}", style)))
     if verdict is None:
         grid.add_row("verdict", "none yet")
         return grid
@@ -219,8 +215,8 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     chosen = nominal_score(verdict)
     probable = "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
     grid.add_row("nominal", Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"))
-    if verdict.fault:
-        grid.add_row("fault", Text(fault_words(verdict, period), style=STYLES[TrustLevel.FAULT]))
+    if fault is not None:
+        grid.add_row("fault", Text(fault.with_begin(period), style=STYLES[TrustLevel.FAULT]))
     if verdict.leader is not None:
         grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
@@ -333,26 +329,21 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
     def figure(column: FigureColumn) -> FamilyColumn:
         return FamilyColumn(column.name, column.unit, lambda c, _: column.text(c))
 
-    columns = [FamilyColumn("candidate", "", candidate)]
-    if not verdict.family:
-        return columns
-    model = verdict.family[0].parameters.model
-    unit = outputs_unit(model.plant)
-    columns.append(FamilyColumn("at", unit, lambda c, _: point_number(c.operating_point, model.plant)))
-    columns += [_parameter(model.plant, name) for name in model.structure.free]
+    def point(c: CandidateScore, _: Sequence[str]) -> str:
+        return point_number(c.operating_point, c.parameters.model.plant)
+
+    table = family_table_of(verdict)
+    columns = [FamilyColumn("candidate", "", candidate), FamilyColumn("at", table.point, point)]
+    columns += [_parameter(table, shown) for shown in table.parameters]
     if verdict.modelled:
         columns.append(FamilyColumn("order", "", lambda c, _: c.chosen_order))
-        columns += map(
-            of_both, (c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _BY_PRIORITY)
-        )
-    return [*columns, *map(figure, FIGURES)]
+    columns += [of_both(criterion) for criterion in table.criteria if criterion.name in _BY_PRIORITY]
+    return [*columns, *map(figure, table.figures)]
 
 
-def _parameter(plant: type[Plant], name: str) -> FamilyColumn:
-    shown = parameter_format(plant, name)
-
+def _parameter(table: FamilyTable, shown: ParameterFormat) -> FamilyColumn:
     def text(candidate: CandidateScore, determined: Sequence[str]) -> str:
-        return shown.text(candidate.parameters.get(name, nan)) + ("*" if name in determined else " ")
+        return table.parameter(candidate, shown) + ("*" if shown.name in determined else " ")
 
     # The spaces leave room for the mark after the value.
     return FamilyColumn(f"{shown.symbol} ", f"{shown.unit} ", text)

@@ -11,12 +11,14 @@ from typing import Final
 from twinmatch.comparing import (
     ADMITTED,
     LEVEL_WORDS,
+    NOWHERE,
     REFUSED,
     CandidateScore,
     OrderScore,
     TrustLevel,
     Verdict,
     number_list,
+    statements_of,
 )
 from twinmatch.description import Quantity
 from twinmatch.fitting import Status
@@ -73,7 +75,7 @@ COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
     "miss u / half band": lambda v, _: number(v.miss_u),
     "nominal": lambda v, _: v.nominal or number(None),
     "leader": lambda v, _: v.leader or number(None),
-    "why": lambda v, _: v.level_reason if v.level is TrustLevel.DOUBTFUL else v.reason,
+    "why": lambda v, _: statements_of(v).trust.reason if v.level is TrustLevel.DOUBTFUL else v.reason,
 }
 """Headings of a verdict's cells, and their texts for a sampling period in s.
 
@@ -85,11 +87,6 @@ candidate.
 def row(verdict: Verdict, period: float = 1.0) -> dict[str, str]:
     """The cells of one verdict by their headings; `period` is the sample time, s."""
     return {name: cell(verdict, period) for name, cell in COLUMNS.items()}
-
-
-def level_words(verdict: Verdict | None) -> str:
-    """The reason of a verdict's trust level; None: before the first verdict."""
-    return LEVEL_WORDS[TrustLevel.UNKNOWN] if verdict is None else verdict.level_reason
 
 
 def missed(verdict: Verdict) -> str:
@@ -104,14 +101,6 @@ def missed(verdict: Verdict) -> str:
         misses = [(plant.called(score.signal), score.miss) for score in verdict.signals]
     parts = [f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)]
     return f"{number_list(parts)} half band widths from the forecast"
-
-
-def fault_words(verdict: Verdict, period: float) -> str:
-    """The name of the fault, of several signals which it concerns, and since when it shows; `period` is the
-    sample time, s."""
-    since = verdict.fault_since
-    named = verdict.named_fault
-    return named if since is None else f"{named} since {number(since * period, 0)} s"
 
 
 def estimate_words(estimate: EstimatedReading, quantity: Quantity, period: float) -> str:
@@ -145,7 +134,7 @@ def trust_by_signal(verdict: Verdict | None) -> list[dict[str, str]]:
     return [
         {
             "signal": plant.called(score.signal),
-            "trusted / s ahead": number_list(score.trusted) if score.trusted else "at no horizon",
+            "trusted / s ahead": number_list(score.trusted) if score.trusted else NOWHERE,
             f"held {ahead} / %": shares(score.coverage),
             f"better than no change {ahead} / %": shares(score.persistence_skill),
             f"better than ARX {ahead} / %": shares(score.arx_skill),
@@ -305,9 +294,9 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
 
 def _level_event(verdict: Verdict) -> tuple[str, str]:
     """Title and reason of a change of level or fault."""
-    if verdict.fault:
-        since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
-        return f"fault: {verdict.named_fault}", f"{verdict.reason}{since}"
-    outside = verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is not None
-    distance = f": {missed(verdict)}" if outside else ""
-    return verdict.level.value, f"{level_words(verdict)}{distance}"
+    trust, fault, _ = statements_of(verdict)
+    if fault is not None:
+        since = "" if fault.since is None else f" (since sample {fault.since})"
+        return f"fault: {fault.called}", f"{fault.reason}{since}"
+    distance = "" if trust.missed_since is None else f": {missed(verdict)}"
+    return trust.level.value, f"{trust.reason}{distance}"

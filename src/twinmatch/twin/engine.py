@@ -18,7 +18,7 @@ from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import Sample, Signals, Window, point_values
-from twinmatch.twin.candidates import UNSCORED, CandidatePool
+from twinmatch.twin.candidates import CandidatePool
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
@@ -472,34 +472,20 @@ class Discriminator:
         scored: bool = False,
         dismissed: tuple[str, ...] = (),
     ) -> Knowledge:
-        """All that is known at a sample, when everything has taken it."""
-        bands = self._check_bands(window)
-        forecaster = self.forecaster
-        choice = self._pool.structures.choice
+        """Who is asked for the verdict at a sample, when everything has taken it."""
         return Knowledge(
             sample=sample,
             window=(window.first, window.last),
             match=match,
             scored=scored,
             dismissed=dismissed,
-            scores=self._pool.scores or UNSCORED,
-            leader=forecaster.leader,
-            confidence=forecaster.confidence,
-            forecasts=forecaster.scores,
-            alone=forecaster.standings.alone,
-            standing="; ".join(text for text in (forecaster.sentence, self._pool.estranged) if text),
-            remembered=self._pool.rests_on_memory(forecaster.leader),
-            trusted=self._trusted,
-            horizons=forecaster.settings.horizons,
-            bands=bands,
-            outside=self._bands.lasts,
-            miss_since=self._bands.since,
-            held=self._bands.levels or (float("nan"), float("nan")),
+            pool=self._pool,
+            bands=self._check_bands(window),
+            history=self._bands,
             residuals=self._residuals(window),
             health=self._health,
-            reservation=self.monitor.reservation,
-            doubt=self.monitor.doubt,
-            structure=choice.chosen if choice else "",
+            monitor=self.monitor,
+            trusted=self._trusted,
             decimals=self.settings.decimals,
         )
 

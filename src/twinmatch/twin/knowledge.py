@@ -1,11 +1,12 @@
-"""What is known at a sample, and the verdict that it makes."""
+"""The verdict at a sample: made of what all parts of a twin know when they have taken it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from functools import cached_property
+from typing import Final, NamedTuple, Protocol, TypedDict
 
 from twinmatch.comparing import (
     DECIDED_FROM,
@@ -21,9 +22,9 @@ from twinmatch.comparing import (
 from twinmatch.defects import Defect
 from twinmatch.dynamics import Parameters
 from twinmatch.health import SLOW, Fault, Health, HealthState
-from twinmatch.twin.candidates import FamilyScores
+from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.mirror import Residuals
-from twinmatch.twin.trust import BandCheck
+from twinmatch.twin.trust import BandCheck, BandHistory
 
 _ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
 """Faults of a plant that still obeys its drive: its next matches adapt the twin."""
@@ -47,9 +48,21 @@ class Trust(NamedTuple):
     reason: str
 
 
-@dataclass(frozen=True)
+class SaysOfHealth(Protocol):
+    """What a monitor says beside its judgement of each sample."""
+
+    @property
+    def reservation(self) -> str:
+        """Why nobody can be accused of a fault yet; empty if somebody can."""
+
+    @property
+    def doubt(self) -> str:
+        """Why no reading can be relied on; empty unless they seem to have shifted."""
+
+
+@dataclass(frozen=True, eq=False)
 class Knowledge:
-    """Everything that a verdict is made from, as it is at one sample."""
+    """Who is asked for a verdict at one sample, when all have taken it, and what is asked of them."""
 
     sample: int
     window: tuple[int, int]
@@ -59,38 +72,17 @@ class Knowledge:
     """Whether the candidates were scored on this window."""
     dismissed: tuple[str, ...]
     """Names of the candidates removed at this sample."""
-    scores: FamilyScores
-    leader: str | None
-    confidence: float
-    """How often the leader was nearly the best, 0 to 1."""
-    forecasts: tuple[ForecastScore, ...]
-    """How well all candidates have forecast, also compared with forecasts that need no twin."""
-    alone: Mapping[str, ForecastScore]
-    """How well the leader has forecast each signal, by its name: outputs, then inputs."""
-    standing: str
-    """A sentence on who leads."""
-    remembered: bool
-    """Whether the leader was trusted in earlier sessions."""
-    trusted: tuple[float, ...]
-    """The horizons, s, at which the verdict before trusted its leader."""
-    horizons: tuple[float, ...]
-    """Horizons of the forecasts, s."""
+    pool: CandidatePool
+    """Knows the candidates' scores, who leads, and which structure the samples justify."""
     bands: BandCheck
     """How the newest readings lie in the leader's bands."""
-    outside: bool
-    """Whether readings lie outside the bands by more than chance."""
-    miss_since: int | None
-    """First sample of the current stretch outside the bands."""
-    held: tuple[float, float]
-    """Lowest and highest output of the range in which the bands have held; NaN without one."""
+    history: BandHistory
+    """Knows since when readings lie outside, and at which levels they did not."""
     residuals: Residuals
     health: Health | None
-    reservation: str
-    """Why nobody can be accused of a fault yet; empty if somebody can."""
-    doubt: str
-    """Why no reading can be relied on; empty unless they seem to have shifted."""
-    structure: str
-    """The structure that the samples justify; empty before the first comparison."""
+    monitor: SaysOfHealth
+    trusted: tuple[float, ...]
+    """The horizons, s, at which the verdict before trusted its leader."""
     decimals: int
 
     @property
@@ -99,19 +91,19 @@ class Knowledge:
         return self.health.fault if self.health and self.health.state is HealthState.FAULT else None
 
     @property
-    def signal(self) -> str:
-        """What the fault concerns, by its name in the plant file."""
-        return self.health.signal if self.health is not None and self.fault is not None else ""
+    def horizons(self) -> tuple[float, ...]:
+        """Horizons of the forecasts, s."""
+        return self.pool.forecaster.settings.horizons
 
-    @property
-    def leading(self) -> ForecastScore | None:
-        """The leader's score."""
-        return next((score for score in self.forecasts if score.name == self.leader), None)
+    @cached_property
+    def alone(self) -> dict[str, ForecastScore]:
+        """How well the leader has forecast each signal, by its name: outputs, then inputs."""
+        return self.pool.forecaster.standings.alone
 
-    @property
+    @cached_property
     def doubts(self) -> dict[float, Shortfall]:
         """Where the leader's forecasts do not pass the test, and why, by horizon, s."""
-        leading = self.leading
+        leading = self.pool.forecaster.standings.leading
         if leading is None:
             return dict.fromkeys(self.horizons, FEW)
         doubts = leading.doubts(self.horizons, self.trusted)
@@ -124,29 +116,19 @@ class Knowledge:
             doubts = named | doubts  # at a horizon with a doubt already, that one stays
         return doubts
 
-    @property
-    def structure_parameters(self) -> Parameters | None:
-        """Parameters of the twin in that structure whose forecasts have saved the most; None without one.
-
-        Those that were fitted to compare the structures are not a twin's: no forecast has tested them.
-        """
-        having = [s for s in self.forecasts if s.parameters.model.structure_name == self.structure]
-        gains = [-math.inf if math.isnan(score.gain) else score.gain for score in having]
-        return having[gains.index(max(gains))].parameters if having else None
-
 
 def trust_of(known: Knowledge) -> Trust:
     """How far to trust the leader: the first reason against it that applies."""
     fault_in_words = f"the plant shows {known.fault.value}" if known.fault is not None else ""
     if known.fault is not None and known.fault not in _ADAPTABLE:
         return Trust(TrustLevel.FAULT, fault_in_words)
-    if known.doubt:
-        return Trust(TrustLevel.DOUBTFUL, known.doubt)
+    if doubt := known.monitor.doubt:
+        return Trust(TrustLevel.DOUBTFUL, doubt)
     if known.fault is not None:
         return Trust(TrustLevel.DOUBTFUL, fault_in_words)
     if math.isnan(known.bands.miss):
-        return Trust(TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN])
-    if known.outside:
+        return Trust(TrustLevel.UNKNOWN, known.monitor.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN])
+    if known.history.lasts:
         return Trust(TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL])
     return _tested(known.doubts, known)
 
@@ -154,7 +136,7 @@ def trust_of(known: Knowledge) -> Trust:
 def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
     """What the test says of a leader with nothing else against it."""
     doubts_in_words = doubt_words(doubts)
-    trusted_in_words = _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
+    trusted_in_words = _LEFT if known.history.since else LEVEL_WORDS[TrustLevel.TRUSTED]
     passes_somewhere = len(doubts) < len(known.horizons)
     if passes_somewhere and doubts_in_words:
         return Trust(TrustLevel.TRUSTED, f"{trusted_in_words}, but {doubts_in_words}")
@@ -162,19 +144,24 @@ def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
         return Trust(TrustLevel.TRUSTED, trusted_in_words)
     if doubts_in_words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
         return Trust(TrustLevel.DOUBTFUL, doubts_in_words)
-    if known.remembered and FEW in doubts.values():
+    is_remembered = known.pool.rests_on_memory(known.pool.forecaster.leader)
+    if is_remembered and FEW in doubts.values():
         return Trust(TrustLevel.TRUSTED, _AS_BEFORE)
     return Trust(TrustLevel.UNKNOWN, doubts_in_words or FEW.words)
 
 
 def verdict_of(known: Knowledge) -> Verdict:
-    """The verdict that what is known makes."""
+    """The verdict that follows from what all parts know."""
     trust = trust_of(known)
-    scores = known.scores
+    scores = known.pool.scores or UNSCORED
+    forecaster = known.pool.forecaster
+    leader = forecaster.leader
+    confidence = math.nan if leader is None else forecaster.confidence
+    standing = (forecaster.sentence, known.pool.estranged, scores.certainty)
+    choice = known.pool.structures.choice
+    structure = choice.chosen if choice is not None else ""
     bands = known.bands
-    fault = known.fault
-    doubts = known.doubts
-    led = known.leader is not None
+    held_low, held_high = known.history.levels or (math.nan, math.nan)
     return Verdict(
         sample=known.sample,
         first=known.window[0],
@@ -194,27 +181,49 @@ def verdict_of(known: Knowledge) -> Verdict:
         identified_gap=scores.identified_gap,
         driven_rms_y=known.residuals.y,
         closed_rms_u=known.residuals.u,
-        leader=known.leader,
-        leader_confidence=known.confidence if led else math.nan,
-        decided=led and known.confidence >= DECIDED_FROM,
-        certainty="; ".join(sentence for sentence in (known.standing, scores.certainty) if sentence),
-        fault="" if fault is None else fault.value,
-        fault_signal=known.signal,
-        fault_since=known.health.since if fault is not None and known.health else None,
-        structure=known.structure,
-        structure_parameters=known.structure_parameters,
+        leader=leader,
+        leader_confidence=confidence,
+        decided=confidence >= DECIDED_FROM,
+        certainty="; ".join(filter(None, standing)),
+        **_named_fault(known.health),
+        structure=structure,
+        structure_parameters=_parameters_in(structure, forecaster.scores),
         miss_y=bands.miss_y,
         miss_u=bands.miss_u,
         inside_y=bands.inside_y,
         inside_u=bands.inside_u,
-        miss_since=known.miss_since,
-        held_low=known.held[0],
-        held_high=known.held[1],
+        miss_since=known.history.since,
+        held_low=held_low,
+        held_high=held_high,
         horizons=known.horizons,
-        forecasts=known.forecasts,
-        trusted=tuple(horizon for horizon in known.horizons if horizon not in doubts),
+        forecasts=forecaster.scores,
+        trusted=tuple(horizon for horizon in known.horizons if horizon not in known.doubts),
         signals=_signals(known),
     )
+
+
+class NamedFault(TypedDict):
+    """The fields of a verdict that name a fault."""
+
+    fault: str
+    fault_signal: str
+    fault_since: int | None
+
+
+def _named_fault(health: Health | None) -> NamedFault:
+    if health is None or health.state is not HealthState.FAULT or health.fault is None:
+        return NamedFault(fault="", fault_signal="", fault_since=None)
+    return NamedFault(fault=health.fault.value, fault_signal=health.signal, fault_since=health.since)
+
+
+def _parameters_in(structure: str, scores: Sequence[ForecastScore]) -> Parameters | None:
+    """Parameters of the twin in a structure whose forecasts have saved the most; None without one.
+
+    Those that were fitted to compare the structures are not a twin's: no forecast has tested them.
+    """
+    in_structure = [score for score in scores if score.parameters.model.structure_name == structure]
+    gains = [-math.inf if math.isnan(score.gain) else score.gain for score in in_structure]
+    return in_structure[gains.index(max(gains))].parameters if in_structure else None
 
 
 def no_verdict(
@@ -228,7 +237,6 @@ def no_verdict(
 ) -> Verdict:
     """The verdict at a sample at which none could be made; it repeats the newest fault, as nobody has seen
     its end."""
-    fault = health if health is not None and health.state is HealthState.FAULT else None
     return Verdict(
         sample=sample,
         first=window[0],
@@ -244,9 +252,7 @@ def no_verdict(
         nu_gap=(),
         driven_rms_y=math.nan,
         closed_rms_u=math.nan,
-        fault=fault.fault.value if fault is not None and fault.fault is not None else "",
-        fault_signal=fault.signal if fault is not None else "",
-        fault_since=fault.since if fault is not None else None,
+        **_named_fault(health),
         horizons=horizons,
     )
 

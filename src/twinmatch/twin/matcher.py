@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from threadpoolctl import ThreadpoolController
 
@@ -18,6 +18,7 @@ from twinmatch.fitting import GateLimits, Match, Status, match
 from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
 from twinmatch.fitting.problem import LASTING
+from twinmatch.requirements import OfPlant
 from twinmatch.signals import OperatingPoint, Window
 from twinmatch.twin.settings import TwinSettings
 
@@ -56,7 +57,7 @@ class MatchRequest(NamedTuple):
     """Index of the sample that set it off."""
     operating_point: OperatingPoint
     """Set-points at the window's end."""
-    window: Window
+    window: Annotated[Window, OfPlant("start")]
     start: Parameters
     """Start of the search, and the values of the parameters that are not free."""
     incumbent: Parameters | None

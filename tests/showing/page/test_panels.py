@@ -147,10 +147,13 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
         (TrustLevel.FAULT, "Look at drive, wires and supply. Do not rely"),
         (TrustLevel.UNKNOWN, "hold it for some minutes"),
     ):
-        state.push_verdict(replace(last, level=level, reason=reason))
+        fault = "drive-lost" if level is TrustLevel.FAULT else ""
+        state.push_verdict(replace(last, level=level, fault=fault, reason=reason))
         assert {level.value, panels.SIGNS[level]} <= set(words(first_screen(state)))
         assert what_to_do(state).startswith(advice) or advice in what_to_do(state), level
     assert "no fault found" in " ".join(words(first_screen(state)))
+    state.push_verdict(replace(last, level=TrustLevel.FAULT, reason=reason))
+    assert what_to_do(state).startswith("Look at drive, sensor and cables. Do not rely")
     state.push_verdict(replace(last, level=TrustLevel.FAULT, fault="drive-lost", fault_since=600))
     assert "✕ drive lost" in words(first_screen(state))
     state.push_drive(DriveReport(0.0, 0.0, "board: gone"))

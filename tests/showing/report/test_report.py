@@ -21,7 +21,8 @@ from twinmatch.importing import read_recording
 from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, samples_of, write_session
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE
 from twinmatch.showing.figures.drawing import svg
 from twinmatch.showing.forecasts import backtest_words, card_columns
 from twinmatch.showing.quantities import number

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from twinmatch.description import Description
 from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.messages import record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, NEWEST, Following, wanted
 from twinmatch.parameters.declared import Setting
@@ -246,7 +246,7 @@ class Foxglove(TwinmatchNode):
         self._lay_out()
 
     def _on_description(self, message: PlantDescription) -> None:
-        self._described = description_from(message)
+        self._described = record_of(message)
 
     def _lay_out(self) -> None:
         """Write the layout once the plant is described, and again if its description or topics change."""

@@ -10,7 +10,7 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.showing.page.outline import ahead, coverage, faults, level, trusted_ahead
+from twinmatch.showing.page.outline import ahead, coverage
 from twinmatch.showing.page.state import DashboardState
 
 _Gauge = tuple[str, str, str, Iterable[tuple[float, tuple[str, ...]]]]
@@ -50,16 +50,16 @@ def _of_state(state: DashboardState, now: float) -> Iterator[_Gauge]:
     """What is known without a verdict: samples, trust, faults and the newest forecast."""
     index = math.nan if state.sample is None else float(state.sample)
     age = math.nan if state.received_at is None else now - state.received_at
-    levels = [
-        (float(possible_level is level(state)), (possible_level.value,)) for possible_level in TrustLevel
-    ]
-    faults_on = [(1.0, fault) for fault in faults(state)] or [(0.0, ("", ""))]
+    statements = state.statements
+    trust = statements.trust
+    levels = [(float(level is trust.level), (level.value,)) for level in TrustLevel]
+    faults_on = [(1.0, (fault.name, fault.signal)) for fault in statements.faults] or [(0.0, ("", ""))]
     yield "sample_index", "Index of the newest sample.", "", [(index, ())]
     yield "verdicts", "Verdicts of this session.", "", [(float(state.tally.verdicts), ())]
     yield "sample_age_seconds", "Time since the newest sample was received.", "", [(age, ())]
     yield "trust_level", "1 for the level of trust in the leader, 0 for the others.", "level", levels
-    trusted = [(trusted_ahead(state), ())]
-    yield "trusted_horizon_seconds", "How far ahead the leader is trusted; 0: not at all.", "", trusted
+    longest = [(trust.longest, ())]
+    yield "trusted_horizon_seconds", "How far ahead the leader is trusted; 0: not at all.", "", longest
     yield "fault", "1 for each fault of plant or drive that is on; 0 without one.", "fault channel", faults_on
     points = [(point, (point.signal.name, point.signal.unit, f"{point.horizon:g}")) for point in ahead(state)]
     for edge in ("mean", "low", "high"):

@@ -15,7 +15,7 @@ from twinmatch import __version__
 from twinmatch.comparing import TrustLevel
 from twinmatch.links.mqtt_client import Broker, BrokerError, leave
 from twinmatch.record import finite
-from twinmatch.showing.page.outline import PointAhead, ahead, coverage, faults, level, trusted_ahead
+from twinmatch.showing.page.outline import PointAhead, ahead, coverage
 from twinmatch.showing.page.state import DashboardState
 
 _GOODBYE: Final = 1.0
@@ -123,12 +123,13 @@ def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
 def _document(state: DashboardState) -> dict[str, Any]:
     """The state; the forecast is that at the longest trusted horizon, or else at the longest there is."""
     outputs = [point for point in ahead(state) if point.signal in state.described.outputs]
-    trusted = trusted_ahead(state)
+    statements = state.statements
+    trusted = statements.trust.longest
     shown = trusted or max((point.horizon for point in outputs), default=0.0)
     points_shown = [point for point in outputs if point.horizon == shown]
     share = coverage(state).get(shown)
     return {
-        "level": level(state).value,
+        "level": statements.trust.level.value,
         "sentence": state.sentence,
         "leader": state.leader or None,
         "horizon": trusted,
@@ -137,7 +138,7 @@ def _document(state: DashboardState) -> dict[str, Any]:
         "low": _rounded("low", points_shown),
         "high": _rounded("high", points_shown),
         "coverage": None if share is None else round(100.0 * share, 1),
-        "fault": "; ".join(" of ".join(filter(None, fault)) for fault in faults(state)) or None,
+        "fault": "; ".join(fault.with_signal for fault in statements.faults) or None,
         "sample": state.sample,
     }
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,18 +18,16 @@ from sensor_msgs.msg import Image
 from twinmatch.description import UNDESCRIBED
 from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import PLANT_REPORT, Level, Report
-from twinmatch.nodes.messages import description_from, nanoseconds
+from twinmatch.nodes.messages import nanoseconds, record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
-from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.requests import Requests
-from twinmatch.showing.page.server import PageServer
-from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
-from twinmatch.showing.page.tab import Tab
+from twinmatch.showing.page.shown import Shown
+from twinmatch.showing.page.state import DriveReport, TwinRow
 from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
 from twinmatch.signals import OperatingPoint
 from twinmatch.twin import TwinSettings
@@ -45,9 +42,6 @@ from twinmatch_msgs.msg import (
     PwmApplied,
     TwinState,
 )
-
-if TYPE_CHECKING:
-    from twinmatch.showing.page.mqtt_outlet import MqttOutlet
 
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """The queue holds two seconds of a recording played at a thousand times its speed."""
@@ -69,8 +63,7 @@ class Dashboard(TwinmatchNode):
     )
     CLOSING = 10
 
-    _server: PageServer | None = None
-    _outlet: MqttOutlet | None = None
+    _shown: Shown | None = None
 
     def read_parameters(self) -> None:
         """Read the parameters of the twin's nodes."""
@@ -80,9 +73,10 @@ class Dashboard(TwinmatchNode):
     def open(self) -> None:
         """Subscribe to the graph and serve the page."""
         described = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
-        self.state = DashboardState(described=described)
+        self._shown = Shown(described, lambda: self._settings)
+        self.state = self._shown.state
         self._requested: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._requests = Requests(
+        requests = Requests(
             self,
             self.state,
             self._requested.put,
@@ -115,43 +109,35 @@ class Dashboard(TwinmatchNode):
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):
             self.create_subscription(kind, topic, take, qos)
-        self._summed_up = 0
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self.values["tell"]:
-            self._outlet = outlet_to(self.values["tell"])
+            self._shown.publish_to(self.values["tell"])
         address = self.values["address"]
-        self._server = PageServer(
-            address,
-            self.values["port"],
-            lambda document: Tab(self.state, self._requests).build(document),
-            Hosts.of(address, self.values["hosts"]),
-            lambda: metrics_text(self.state),
-        )
+        self._shown.serve(requests, self.values["port"], address, Hosts.of(address, self.values["hosts"]))
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)
-        print(f"page: {self._server.url}", flush=True)
         self.report_on()
 
     @property
     def failure(self) -> Exception | None:
         """The error that ended the server."""
-        return None if self._server is None else self._server.failure
+        return None if self._shown is None else self._shown.failure
 
     def report(self) -> Report:
         """Report the page's address and the number of open tabs."""
-        if self._server is not None:
-            self.health.set("page", self._server.url)
-            self.health.set("tabs", self._server.tabs)
+        if self._shown is not None:
+            self.health.set("page", self._shown.url)
+            self.health.set("tabs", self._shown.tabs)
         return super().report()
 
     def close(self) -> bool:
         """Stop the server, and say goodbye to the broker."""
-        parts = (self._outlet, self._server)
-        return end_in_order(*(part.close for part in parts if part is not None), super().close)
+        shown = [] if self._shown is None else [self._shown.close]
+        return end_in_order(*shown, super().close)
 
     def _on_description(self, message: PlantDescription) -> None:
-        self.state.describe(description_from(message))
+        self.state.describe(record_of(message))
         if not self.values["config"] and message.plant != self._settings.plant.name:
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 
@@ -173,11 +159,8 @@ class Dashboard(TwinmatchNode):
 
     def _sum_up(self) -> None:
         """Summarise the session after a new verdict, and publish the state to the broker."""
-        if self._summed_up != self.state.verdicts:
-            self._summed_up = self.state.verdicts
-            update_sentence(self.state, self._settings)
-        if self._outlet is not None:
-            trouble = self._outlet.tell(self.state)
+        trouble = None if self._shown is None else self._shown.tell()
+        if trouble is not None:
             self.health.flag_if(bool(trouble), "tell", Level.WARN, trouble)
 
     def _run_requests(self) -> None:

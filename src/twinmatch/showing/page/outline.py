@@ -1,4 +1,4 @@
-"""What the state comes down to, for programs: trust, the forecast at its horizons, coverage, faults."""
+"""The newest forecast in figures, for programs: at its horizons, and how often its bands have held."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import TrustLevel
 from twinmatch.description import Quantity
-from twinmatch.showing.page.state import DashboardState, drive_fault
+from twinmatch.showing.page.state import DashboardState
 
 
 class PointAhead(NamedTuple):
@@ -20,17 +19,6 @@ class PointAhead(NamedTuple):
     mean: float
     low: float
     high: float
-
-
-def level(state: DashboardState) -> TrustLevel:
-    """The level of the newest verdict."""
-    return TrustLevel.UNKNOWN if state.verdict is None else state.verdict.level
-
-
-def trusted_ahead(state: DashboardState) -> float:
-    """The longest horizon at which the leader's forecasts are trusted now, s; 0: at none."""
-    trusted = state.verdict and level(state) is TrustLevel.TRUSTED and state.verdict.trusted
-    return max(trusted or (0.0,))
 
 
 def ahead(state: DashboardState) -> list[PointAhead]:
@@ -57,11 +45,3 @@ def coverage(state: DashboardState) -> dict[float, float]:
     leading = state.verdict and state.verdict.leading
     shares = zip(state.verdict.horizons, leading.coverage, strict=False) if state.verdict and leading else ()
     return {horizon: share for horizon, share in shares if not math.isnan(share)}
-
-
-def faults(state: DashboardState) -> list[tuple[str, str]]:
-    """The faults that are on, each with the name of the signal that it concerns, or an empty one: that of the
-    newest verdict, and what holds or limits the output."""
-    verdict = state.verdict
-    faults_on = [(verdict.fault, verdict.fault_signal)] if verdict is not None and verdict.fault else []
-    return [*faults_on, (drive_fault(state.fault)[0], "")] if state.fault else faults_on

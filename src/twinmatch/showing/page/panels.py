@@ -7,21 +7,19 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from itertools import islice
 
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import ANYWHERE, Statements, TrustLevel, Verdict, plant_fault
 from twinmatch.description import Quantity, nth
 from twinmatch.offline.summary import trust_range
 from twinmatch.safety import is_limit
-from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
+from twinmatch.showing.family import criterion_rows, family_table_of, outputs_of
 from twinmatch.showing.page.health import NodeReports
-from twinmatch.showing.page.state import DashboardState, WhatIfAnswer, drive_fault
+from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
-from twinmatch.showing.quantities import number, parameter_format, with_unit
+from twinmatch.showing.quantities import number, with_unit
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.verdicts import (
     Event,
     estimate_words,
-    fault_words,
-    level_words,
     row,
     trust_by_signal,
 )
@@ -40,18 +38,17 @@ NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustL
 """For each level of REP 107, the trust level whose colour it has."""
 NODE_WORDS = ("OK", "warning", "error", "silent")
 AT_REST = "has ended with the replay"
-_PLACE = ": look at "
-"""In a reason of the health monitor: what precedes the place to look at."""
 
 
 def first_screen(state: DashboardState) -> str:
     """Five answers side by side, each below its question."""
-    level = TrustLevel.UNKNOWN if state.verdict is None else state.verdict.level
+    trust = state.statements.trust
+    level = trust.level
     dark = " dark" if level in DARK else ""
     badge = (
         f'<div class="level{dark}" style="background:{LEVELS[level]}"><div class="sign">{SIGNS[level]}</div>'
         f'<div><div class="word">{escape(level.value)}</div>'
-        f'<div class="meaning">{escape(level_words(state.verdict))}</div></div></div>'
+        f'<div class="meaning">{escape(trust.reason)}</div></div></div>'
     )
     answers = f"{_leader(state)}{_forecast(state)}{_health(state)}"
     to_do = f'<div class="label">what to do</div><p>{escape(what_to_do(state))}</p>'
@@ -75,22 +72,24 @@ def what_to_do(state: DashboardState) -> str:
         return "Nothing: the replay has ended, and this page shows its final state."
     if state.received_at is None:
         return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
-    if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
+    statements = state.statements
+    if statements.trust.level is TrustLevel.UNKNOWN:
         return (
             f"Step the {references} and hold it for some minutes (in open loop the {inputs}): a twin is "
             "matched to the plant's response."
         )
     unit = described.outputs[0].unit + (f" of {described.loops[0][1].name}" if described.outputs[1:] else "")
-    return _advice(state.verdict, unit, described.outputs[0].decimals - 1, state.tally.held)
+    return _advice(statements, unit, described.outputs[0].decimals - 1, state.tally.held)
 
 
-def _advice(verdict: Verdict, unit: str, decimals: int, ranges: Sequence[tuple[float, float]]) -> str:
+def _advice(statements: Statements, unit: str, decimals: int, ranges: Sequence[tuple[float, float]]) -> str:
     """What to do after a verdict."""
-    if verdict.level is TrustLevel.FAULT:
-        _, placed, where = verdict.reason.partition(_PLACE)
-        first = f"Look at {where}" if placed else "Look at drive, sensor and cables"
-        return f"{first}. Do not rely on forecasts until the fault is fixed."
-    if verdict.level is TrustLevel.DOUBTFUL:
+    level = statements.trust.level
+    if level is TrustLevel.FAULT:
+        fault = statements.plant_fault
+        place = ANYWHERE if fault is None else fault.place
+        return f"Look at {place}. Do not rely on forecasts until the fault is fixed."
+    if level is TrustLevel.DOUBTFUL:
         return (
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
@@ -145,12 +144,13 @@ def _health(state: DashboardState) -> str:
         for estimate in state.read_through
     )
     through = "".join(f"<br>{escape(words)}" for words in estimates)
-    if not verdict.fault:
+    fault = state.statements.plant_fault
+    if fault is None:
         return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
-    name, _, since = fault_words(verdict, state.period).partition(" since ")
-    begin = f"since {since}: " if since else ""
-    name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
-    return _answer("plant health", name, escape(f"{begin}{verdict.reason}") + through)
+    begin = fault.begin(state.period)
+    evidence = f"{begin}: {fault.reason}" if begin else fault.reason
+    name = f"{SIGNS[TrustLevel.FAULT]} {fault.called.replace('-', ' ')}"
+    return _answer("plant health", name, escape(evidence) + through)
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -235,11 +235,12 @@ def _sample_pill(state: DashboardState, now: float) -> str:
 
 def alarm(state: DashboardState) -> str:
     """The fault that limits the output or holds it at zero; empty without one."""
-    if not state.fault:
+    fault = state.statements.drive_fault
+    if fault is None:
         return ""
-    title, why = map(escape, drive_fault(state.fault))
+    title = escape(f"{fault.called[0].upper()}{fault.called[1:]}")
+    why = escape(fault.reason)
     sign = SIGNS[TrustLevel.FAULT]
-    title = f"{title[0].upper()}{title[1:]}"
     return f'<div class="alarm" role="alert"><b>{sign} {title}</b><br>{why}</div>'
 
 
@@ -248,23 +249,22 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
 
     A candidate has a row for each of its orders if `all_orders`, else one for the chosen order.
     """
-    if verdict is None or not verdict.candidates:
+    if verdict is None or not verdict.family:
         return NO_CANDIDATE
-    criteria = computed(verdict.modelled)
-    model = verdict.candidates[0].parameters.model
-    matched = [parameter_format(model.plant, name) for name in model.structure.free]
+    table = family_table_of(verdict)
     orders = [("order", "", "")] if verdict.modelled else []
-    columns = [*(for_both(verdict.candidates[0], criteria) if orders else ()), *FIGURES]
+    columns = [*table.criteria, *table.figures]
     head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
-    head += [(q.symbol, q.unit, q.words) for q in matched]
+    head += [(q.symbol, q.unit, q.words) for q in table.parameters]
     lines = []
-    for candidate in verdict.family:
+    for candidate in table.candidates:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
-        figures = [column.text(candidate) for column in FIGURES]
-        figures += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
+        figures = [column.text(candidate) for column in table.figures]
+        figures += [table.parameter(candidate, q) for q in table.parameters]
         both, _ = outputs_of(candidate.orders)[-1]  # both outputs together; in open loop the output alone
-        shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
+        rows = criterion_rows(candidate, table.criteria)
+        shown = [line for line in rows if line.output == both]
         for line in shown or (None,):
             chosen = line is None or line.chosen
             if not (all_orders or chosen):
@@ -337,9 +337,10 @@ def notice(state: DashboardState) -> str:
 
 def _more(verdict: Verdict, period: float) -> list[str]:
     """Further statements of a verdict: fault, certainty, structure."""
-    fault = verdict.fault and f"the plant shows {fault_words(verdict, period)}"
+    fault = plant_fault(verdict)
+    shows = f"the plant shows {fault.with_begin(period)}" if fault is not None else ""
     structure = verdict.structure and f"structure that the samples justify: {verdict.structure}"
-    return [line for line in (fault, verdict.certainty, structure) if line]
+    return [line for line in (shows, verdict.certainty, structure) if line]
 
 
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:

@@ -13,7 +13,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from twinmatch.nodes.messages import forecast_from
+from twinmatch.nodes.messages import record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecasts import forecast_words
@@ -79,7 +79,7 @@ class Requests:
 
         def show(answer: WhatIf.Response) -> None:
             if answer.success:
-                forecast = forecast_from(answer.forecast)
+                forecast = record_of(answer.forecast)
                 lines = (*forecast_words(forecast, self._settings()), *forecast.notes)
                 self._state.answer(WhatIfAnswer(question, lines, forecast))
             else:

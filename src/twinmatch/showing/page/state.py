@@ -15,13 +15,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.comparing import Verdict
+from twinmatch.comparing import Statements, Verdict, fault_of_drive, statements_of
 from twinmatch.description import UNDESCRIBED, Description, nth
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.health import EstimatedReading
 from twinmatch.offline.summary import Tally, conclude
-from twinmatch.safety import LawReport, TrialPhase, is_limit
+from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.experiments import report_words
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.summary import sentence
@@ -76,12 +76,6 @@ class DriveReport(NamedTuple):
 
 ESTIMATE_SHOWN: Final = 5
 """Samples for which an estimate is shown after the one that it is of."""
-
-
-def drive_fault(fault: str) -> tuple[str, str]:
-    """A title, which says what a fault does to the output, and the reason that the fault gives."""
-    kind, _, why = fault.partition(": ")
-    return "output limited" if is_limit(fault) else f"output held at zero: {kind.replace('_', ' ')}", why
 
 
 class WhatIfAnswer(NamedTuple):
@@ -233,6 +227,11 @@ class DashboardState:
         return self.drive.fault if self.drive else ""
 
     @property
+    def statements(self) -> Statements:
+        """What is said of trust and faults now."""
+        return statements_of(self.verdict, self.fault)
+
+    @property
     def current_forecast(self) -> Forecast | None:
         """The newest forecast; None if it starts at a sample that this session has not reached."""
         last = self.plant.last
@@ -354,9 +353,9 @@ class DashboardState:
             self.drive = drive
             if drive.fault == before:
                 return
-            if drive.fault:
-                title, why = drive_fault(drive.fault)
-                self._note(EventKind.FAULT, Mark.BAD, title, why, drive.stamp)
+            fault = fault_of_drive(drive.fault)
+            if fault is not None:
+                self._note(EventKind.FAULT, Mark.BAD, fault.called, fault.reason, drive.stamp)
             else:
                 why = "the output may be driven"
                 self._note(EventKind.FAULT, Mark.GOOD, "fault cleared", why, drive.stamp)

@@ -36,7 +36,7 @@ from twinmatch.showing.report.pictures import Picture, fans_of, pictures
 from twinmatch.showing.report.words import as_sentence, plain_words, session_facts
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.summary import sentence
-from twinmatch.showing.verdicts import last_verdict, level_words
+from twinmatch.showing.verdicts import last_verdict
 from twinmatch.signals import one_of_each, point_text
 from twinmatch.twin import TwinSettings
 
@@ -283,16 +283,16 @@ class SessionReport:
         words = [*plain_words(judgement), *(line for tested in tests for line in backtest_words(tested)[-1:])]
         other_members = [m for m in self.members if not m.nominal and m.modelled]
         period = settings.period
-        level = judgement.summary.level
+        trust = judgement.summary.trust
         closed = settings.law is not None
         plant = settings.plant
         matched = settings.start.model.structure_name
         return {
             "name": self.name,
             "sentence": self.sentence,
-            "level": level.value,
-            "level_colour": LEVELS[level],
-            "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
+            "level": trust.level.value,
+            "level_colour": LEVELS[trust.level],
+            "level_words": trust.reason,
             "words": [*words, *self.memory],
             "tested": [_tested(tested, judgement, k) for k, tested in enumerate(tests)],
             "estimates": [course.line(period) for course in judgement.estimates],

@@ -16,6 +16,7 @@ from twinmatch.showing.quantities import (
     shown_outputs,
 )
 from twinmatch.showing.series import compare, root_mean_square
+from twinmatch.showing.summary import fault_spans, trust_words
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import Sample, Signals
 from twinmatch.twin import TwinSettings
@@ -82,7 +83,7 @@ def plain_words(judgement: Judgement) -> list[str]:
     shown = shown_twin(last)
     lines = [_what(judgement), _matching(judgement)]
     if last is None or shown is None:
-        faulty = judgement.summary.level is TrustLevel.FAULT
+        faulty = judgement.summary.trust.level is TrustLevel.FAULT
         return [*lines, _nothing(judgement), *([_health(judgement)] if faulty else [])]
     if last.leader is not None:
         lines.append(_leader(last, shown))
@@ -90,7 +91,8 @@ def plain_words(judgement: Judgement) -> list[str]:
         lines.append(_choice(last, nominal))
     if last.certainty:
         lines.append(as_sentence(last.certainty))
-    return [*lines, _fit(judgement, shown), _trust(judgement), _health(judgement)]
+    trust = as_sentence(trust_words(judgement.summary))
+    return [*lines, _fit(judgement, shown), trust, _health(judgement)]
 
 
 def _what(judgement: Judgement) -> str:
@@ -191,31 +193,13 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
     )
 
 
-def _trust(judgement: Judgement) -> str:
-    s = judgement.summary
-    if s.range is None:
-        output = shown_outputs(judgement.settings.plant)[0]
-        return f"There is no range of the {output} in which its forecasts have held."
-    proven = f"Its forecasts have held {s.range}"
-    but = f", but {s.doubts}" if s.doubts else ""
-    if s.level is TrustLevel.TRUSTED:
-        return f"{proven}, and at the end of the session the twin can be trusted there{but}."
-    doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
-    return f"{proven}, but at the end of the session the twin is {doubt}: {s.why}."
-
-
 def _health(judgement: Judgement) -> str:
     period = judgement.settings.period
-    stretches = judgement.summary.stretches
-    faulty = [s for s in stretches if s.fault or s.level is TrustLevel.FAULT]
-    doubtful = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
-    faults = ", ".join(f"t = {stretch.times(period)}" for stretch in faulty)
+    doubtful = [s for s in judgement.summary.stretches if s.level is TrustLevel.DOUBTFUL]
     doubts = ", ".join(f"t = {stretch.times(period)}" for stretch in doubtful)
-    if faults:
-        named = sorted({v.named_fault for v in judgement.verdicts} - {""})
-        names = f" ({', '.join(named)})" if named else ""
+    if faults := fault_spans(judgement.summary):
         todo = "Look at the plant (drive, sensor, cables) before anything else."
-        return f"The plant had a fault{names}: {faults}. {todo}"
+        return f"The plant had a fault: {'; '.join(faults)}. {todo}"
     if doubts:
         return f"No fault was found; the twin was doubtful: {doubts}."
     return "No fault was found: plant and twin never differed by more than is normal for a healthy plant."

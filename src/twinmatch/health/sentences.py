@@ -1,0 +1,212 @@
+"""What is said of faults of one plant: what they concern, and the evidence for them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from twinmatch.dynamics import Drive, Model, Output, Parameter
+from twinmatch.health.faults import EVERY, TRAITS, Evidence, Fault, Subject, signed
+from twinmatch.health.traces import DriveEffect, Repeats
+from twinmatch.signals import Sample
+
+if TYPE_CHECKING:  # a plant with one loop needs nothing of their arithmetic
+    from twinmatch.health.evidence import Suspect
+    from twinmatch.health.hypotheses import PlacedFault
+
+
+class FaultSentences:
+    """Names what faults concern, and describes the evidence for them.
+
+    On a plant with one loop the evidence is a trace, and each kind of trace has a method. With several loops
+    it is a hypothesis that explains the readings better than its rivals: `called` and `said`.
+    """
+
+    def __init__(self, model: Model, period: float) -> None:
+        """`period` is the sample time, s."""
+        self._model = model
+        self._plant = model.plant
+        self._period = period
+        self._drives = list(model.plant.drives.items())
+        self._outputs = list(model.plant.outputs.items())
+        self.surroundings = model.plant.surroundings
+
+    @cached_property
+    def output(self) -> str:
+        """The output of a single loop, in words; like the properties below it, only there."""
+        return f"the {self._plant.output.text or self._plant.output.name}"
+
+    @cached_property
+    def unit(self) -> str:
+        """Its unit, as it follows a number."""
+        return f" {self._plant.output.unit}".rstrip()
+
+    @cached_property
+    def input(self) -> str:
+        """Unit or name of the input."""
+        return self._plant.drive.unit or self._plant.drive.name
+
+    @cached_property
+    def sensor(self) -> str:
+        """The sensor of the output, in words."""
+        return f"the {self._plant.output.sensor}"
+
+    @cached_property
+    def _other(self) -> str:
+        return "thermometer" if self._plant.output.unit == "°C" else "instrument"
+
+    @cached_property
+    def _all_drives(self) -> str:
+        return " and ".join(drive.text or name for name, drive in self._drives[:2])
+
+    def _concerned(self, cause: PlacedFault) -> tuple[str, Drive | Output | Parameter]:
+        """Name of what a fault concerns, and what the plant file declares of it."""
+        fault, place = cause
+        if place == EVERY:
+            return "", replace(self._drives[0][1], text=self._all_drives)
+        subject = TRAITS[fault].subject
+        if subject is Subject.PARAMETER:
+            name = self._model.structure.free[place]
+            return name, self._model.declared[name]
+        if subject is Subject.DRIVE or fault is Fault.DRIFT:  # what has no name pushes as a drive does
+            return self._drives[place]
+        return self._outputs[place]
+
+    def signal(self, fault: Fault) -> str:
+        """Name of what a fault of a plant with one loop concerns; empty where it may be anything."""
+        traits = TRAITS[fault]
+        if traits.subject is Subject.ANYTHING:
+            return ""
+        if traits.subject is Subject.PARAMETER:
+            return self._parameter(traits.role)
+        name, _ = self._concerned((fault, 0))
+        return name
+
+    def _parameter(self, role: str) -> str:
+        """Name of the first parameter with a role; empty if the plant file gives it to none."""
+        for name, declared in self._plant.parameters.items():
+            if declared.role == role:
+                return name
+        return ""
+
+    def refused(self, before: Sample | None, sample: Sample) -> Evidence:
+        """A reading that the plant cannot have, or cannot have reached from the sample before."""
+        [reading] = sample.refused
+        low, high = self._plant.output.span
+        if before is None or not low <= reading <= high:
+            reason = (
+                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input} and "
+                f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
+            )
+        else:
+            reason = (
+                f"{self.output} jumped from {before.output:.4g} to {reading:.4g}{self.unit} in one sample, "
+                f"{abs(reading - sample.output):.3g}{self.unit} more than the plant can explain: "
+                f"look at {self.sensor}"
+            )
+        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+
+    def recurring(self) -> str:
+        """Steps that were called impossible, and have come again and again."""
+        return (
+            f"{Fault.SENSOR_IMPLAUSIBLE.value} is taken back: steps of {self.output} as large as those that "
+            "were refused recur, and its readings continue from there, so the plant makes them"
+        )
+
+    def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:
+        """A sensor that repeats one reading."""
+        reason = (
+            f"{self.output} has been stuck at {sample.output:g}{self.unit} for "
+            f"{repeats.count * self._period:g} s, while the plant should have moved "
+            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: "
+            f"look at {self.sensor}"
+        )
+        return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
+
+    def late(self, index: int, effect: DriveEffect, lag: float, *, sure: bool) -> Evidence:
+        """Readings that lag behind the plant."""
+        reason = f"{self.output} follows the drive with a delay of {lag:g} s: look at {self.sensor}"
+        return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
+
+    def lost(self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False) -> Evidence:
+        """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
+        moved = signed(effect.expected)
+        shown = signed(effect.share * effect.expected)
+        alternative = ", or the plant loses far more than before" if lagged else ""
+        where = f", and at {self.surroundings}" if lagged else ""
+        reason = (
+            f"the drive should have moved {self.output} by {moved}{self.unit} in "
+            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: the drive is "
+            f"lost, or {self.sensor} does not see it{alternative}; look at drive, wires, supply and "
+            f"sensor{where}"
+        )
+        return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
+
+    def weak(self, index: int, effect: DriveEffect, lasts: int, *, sure: bool) -> Evidence:
+        """A drive whose effect has been too small for `lasts` samples."""
+        reason = (
+            f"the drive has had {max(effect.share, 0.0):.0%} of its expected effect on {self.output} for "
+            f"{lasts * self._period:g} s: look at drive, wires and supply"
+        )
+        return Evidence(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
+
+    def doubted(self, offset: float) -> str:
+        """Readings that may have shifted."""
+        return (
+            f"the readings of {self.output} may be off by about {signed(offset)}{self.unit}: "
+            f"compare them with another {self._other}"
+        )
+
+    def passed(self, moved: float, lasted: float) -> str:
+        """What has moved the output for a while."""
+        return (
+            f"something other than the drive moved {self.output} for about {lasted:g} s, by "
+            f"{signed(moved)}{self.unit} in all, and has ceased: look at {self.surroundings}"
+        )
+
+    def called(self, cause: PlacedFault) -> str:
+        """What may have changed, in words."""
+        name, declared = self._concerned(cause)
+        return TRAITS[cause[0]].suspect.format(name=declared.text or name)
+
+    def jumped(self, outputs: list[int]) -> tuple[str, str]:
+        """Name of the first of the outputs whose readings have jumped at once, and a sentence."""
+        names = [output.text or name for name, output in (self._outputs[i] for i in outputs)]
+        reason = (
+            f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of "
+            "them is right: look at what the sensors share, such as their supply; none is read through"
+        )
+        return self._outputs[outputs[0]][0], reason
+
+    def said(
+        self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]
+    ) -> tuple[str, float, str]:
+        """Name of the signal, size of the change, and a sentence; `share` is what is left of a drive's
+        effect."""
+        name, declared = self._concerned(best.cause)
+        size = math.nan
+        text = ""
+        unit = declared.unit
+        if fault is Fault.LOSSES_CHANGED:
+            size = math.exp(best.shift)
+            text = f"{size:.2g} times"
+        elif fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
+            size = share
+            text = f"{share:.0%}"
+        elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
+            size = best.shift
+            text = f"{signed(best.shift)} {unit}".rstrip()
+        if best.cause[1] == EVERY:
+            left = "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
+            return (
+                name,
+                size,
+                f"{self._all_drives} have {left}: look at what they share, such as their supply",
+            )
+        around = self._model.plant.surroundings
+        reason = TRAITS[fault].sentence.format(
+            name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)
+        )
+        return name, size, reason
