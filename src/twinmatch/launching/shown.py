@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING, cast
 
@@ -10,6 +11,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Question, what_if
 from twinmatch.plants.records import description_of
 from twinmatch.showing.forecasts import forecast_words
+from twinmatch.showing.page.goal import ASKED_EVERY, Goal, answer_of
 from twinmatch.showing.page.health import ERROR, OK
 from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer, update_sentence
@@ -56,8 +58,11 @@ class Asked:
 class Shown:
     """Keeps a `DashboardState` up to date for those who look at it."""
 
-    def __init__(self, settings: TwinSettings, port: int | None, broker: str | None) -> None:
-        """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows.
+    def __init__(
+        self, settings: TwinSettings, port: int | None, broker: str | None, goal: Goal | None = None
+    ) -> None:
+        """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows; with
+        a `goal` also when it is reached.
 
         Raises:
             TwinmatchError: the port cannot be used, or the broker cannot be reached.
@@ -67,6 +72,8 @@ class Shown:
         self.state = DashboardState(described=description_of(settings.plant))
         self._settings = settings
         self._asked = Asked(self.state, settings)
+        self._goal = goal
+        self._goal_asked_at = -math.inf
         self._summed_up = 0
         self._server: PageServer | None = None
         self._outlet: MqttOutlet | None = None
@@ -106,8 +113,23 @@ class Shown:
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
             update_sentence(self.state, self._settings)
+        self._ask_goal(time.monotonic())
         if self._outlet is not None:
             self.trouble("broker", self._outlet.tell(self.state))
+
+    def _ask_goal(self, now: float) -> None:
+        """Ask the leader when the goal is reached, from time to time; before there is one, nobody."""
+        if self._goal is None or now - self._goal_asked_at < ASKED_EVERY:
+            return
+        self._goal_asked_at = now
+        try:
+            answer = answer_of(self._goal, self._asked.snapshot.outlook())
+        except TwinmatchError as error:
+            self.state.push_goal(None)
+            self.trouble("goal", str(error) if self.state.forecast is not None else "")
+        else:
+            self.state.push_goal(answer)
+            self.trouble("goal", "")
 
     def close(self) -> bool:
         """Leave the broker, and stop the page; returns whether the threads of both have ended."""
