@@ -1,6 +1,7 @@
 """Newcomers with twenty simulated plants of which nothing is recorded, led to a trusted twin and a PID.
 
-    python -m benchmarks.newcomer 20
+    python -m benchmarks.newcomer 20        # the plants that the method was made with
+    python -m benchmarks.newcomer 20 500    # others: the number is the first seed
 
 Kettles, rooms, hot ends and tanks in turn, each by its own physics, which the plant file does not have. The
 newcomer knows the ranges, and the time constant up to a factor of two; types what is printed, and records
@@ -26,9 +27,10 @@ SETTLED = 0.1
 def main(arguments: Sequence[str]) -> None:
     """Lead as many newcomers as asked for, and print how each of them fared."""
     number = int(arguments[0]) if arguments else 20
+    first_seed = int(arguments[1]) if len(arguments) > 1 else 100
     all_led = []
     for k in range(number):
-        plant = KINDS[k % len(KINDS)](np.random.default_rng(100 + k))
+        plant = KINDS[k % len(KINDS)](np.random.default_rng(first_seed + k))
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             led = lead(plant, Path(folder), seed=1000 * k)

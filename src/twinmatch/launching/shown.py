@@ -95,13 +95,17 @@ class Shown:
         if mirror is not None:
             row = TwinRow(*(getattr(mirror, name) for name in TwinRow._fields))
             state.push_twin(mirror.sample.index, row)
-        self._asked.snapshot = snapshot
+        self.ask_from(snapshot)
         if judged.forecast is not None:
             state.push_forecast(judged.forecast)
         for estimate in judged.outcome.estimates:
             state.push_estimate(estimate)
         for verdict in judged.outcome.verdicts:
             state.push_verdict(verdict)
+
+    def ask_from(self, snapshot: Snapshot) -> None:
+        """Answer questions from these twins."""
+        self._asked.snapshot = snapshot
 
     def trouble(self, name: str, text: str) -> None:
         """Show why a signal gives no samples; empty: it does."""
