@@ -61,7 +61,7 @@ class AlonePlan:
     tell: str | None = None
     """Broker that gets what the page shows; None: none."""
     goal: Goal | None = None
-    """Level of which the page and the broker are told when it is reached; None: none."""
+    """Level of which page and broker show when it is reached; None: none."""
 
 
 class TwinSession(Recording):

@@ -26,7 +26,7 @@ def course_words(course: FirstCourse) -> list[str]:
     lines.append(f"expected: {output.name} within {expected} in nine cases of ten")
     lines.append(
         f"set {drive.name} back to {_amount(rest[0], drive.unit)} at once if {output.name} leaves {within}, "
-        "and go on recording"
+        "and keep recording"
     )
     if not course.shows:
         lines.append(

@@ -36,7 +36,7 @@ def _reached_of(answer: WhatIf.Response) -> Moment:
 
 
 def _ignored(why: str) -> None:
-    """Nobody answers yet; the node's own report says so."""
+    """Without an answer nothing is shown: the page says which nodes are missing."""
 
 
 class Requests:
