@@ -99,7 +99,10 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     }.items():
         assert main([*base, *options]) == 2
         assert words in capsys.readouterr().err
-    for options, words in {(): "give a SESSION, or --live", (str(SHIPPED), "--live"): "--live takes"}.items():
+    for options, words in {
+        (): "give a SESSION, --plant FILE",
+        (str(SHIPPED), "--live"): "--live takes",
+    }.items():
         with pytest.raises(SystemExit):
             main(["experiment", *options])
         assert words in capsys.readouterr().err

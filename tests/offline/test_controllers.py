@@ -108,7 +108,7 @@ def test_a_session_that_ends_in_a_fault_is_refused(tmp_path: Path) -> None:
 
 def test_a_session_whose_twin_is_not_trusted_yet_is_refused(session: Session) -> None:
     short = replace(session, samples=session.samples[:200])
-    with pytest.raises(ControllerError, match="record until the twin is trusted"):
+    with pytest.raises(ControllerError, match="says what to record until the twin is trusted"):
         members_from(ground_of(short))
 
 

@@ -29,6 +29,7 @@ from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import read_table
 from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.offline.separation import inseparable_in
 from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
@@ -66,6 +67,7 @@ _TODO: Final = {
     "record a richer experiment: more levels, longer than the slowest time constant",
     Status.NOT_BETTER: "nothing is wrong: the previous candidate predicts equally well",
 }
+_REST_FIRST: Final = "rest first, then step: twinmatch experiment says for how long, and how far"
 _FAULTY: Final = (
     "leave that part of the recording out; if the plant was healthy, correct what is declared: `span` of the "
     "output (a sensor may stay at its ends), `noise`, or the parameters in `typical`"
@@ -109,7 +111,12 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     compared = compare_structures(judgement.stretches, plant, terms.settings)
     findings, notes = _of_samples(session, plant, terms.settings.start, compared.least)
     findings += loop_findings(session, plant, terms.settings.law)
-    findings += _of_matches(judgement.matches, faults, terms.settings, size)
+    inseparable = None if judgement.matches or faults else inseparable_in(judgement.stretches, plant)
+    if inseparable is None:
+        findings += _of_matches(judgement.matches, faults, terms.settings, size)
+    else:
+        problem = f"no window could be matched: {inseparable.sentence}"
+        findings.append(Finding(problem, _REST_FIRST))
     notes += [*_accepted(judgement.matches), *compared.notes]
     matches = [report.match for report in judgement.matches]
     accepted = sum(match.accepted for match in matches)

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.held_input import begun_at_rest, is_held
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
@@ -85,6 +86,11 @@ class Proposal:
     table: str = ""
     """Name of the table's file."""
     has_reference: bool = False
+    held: bool = False
+    """Whether the drive stood at one level for nearly all of the time, so that gain and rest rest on the
+    assumption that the output rested at its first readings."""
+    assumed: bool = False
+    """Whether nothing is recorded, so that the lag is what its owner says."""
     split: bool = False
     """Whether the table has gaps, or a clock that was set back."""
 
@@ -161,6 +167,7 @@ def propose(table: Table, signal_map: SignalMap) -> Proposal:
         sources={plant_names.get(signal, signal): source for signal, source in signal_map.sources.items()},
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
+        held=not disturbance_names and is_held(drive),
         split=bool(resampled.gaps),
     )
 
@@ -210,9 +217,19 @@ def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float
     drive = resampled.columns["input"][longest]
     disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
     noise = noise_of(reading, [drive, *disturbance_columns])
-    return noise, _first_order(
-        _without_spikes(reading, noise), drive, disturbance_columns, noise, resampled.period
-    )
+    without_spikes = _without_spikes(reading, noise)
+    model = _first_order(without_spikes, drive, disturbance_columns, noise, resampled.period)
+    if not disturbances and is_held(drive):
+        model = _begun_at_rest(without_spikes, drive, model)
+    return noise, model
+
+
+def _begun_at_rest(reading: FloatArray, drive: FloatArray, model: _FirstOrder) -> _FirstOrder:
+    """The model with the gain and the rest of a plant that rested at its first readings."""
+    levels, counts = np.unique(drive, return_counts=True)
+    final = model.rest + model.gain * float(levels[np.argmax(counts)])
+    parted = begun_at_rest(reading, drive, final)
+    return model if parted is None else _rounded_model(parted.gain, model.lag, parted.rest)
 
 
 def _output_range(

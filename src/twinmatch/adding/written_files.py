@@ -21,6 +21,10 @@ from twinmatch.units import is_readable
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
+_BENT: Final = 0.1
+"""By how much losses have grown over the whole range, to begin with, where nothing is recorded."""
+_BENT_LEAST: Final = 0.4
+"""By how much they may have fallen over the whole range: with half, they would not grow with the output."""
 _LONGEST: Final = 60
 _TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Plant", "State", "Structure")
 """Classes that the file of a plant imports."""
@@ -77,6 +81,11 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "noise": proposal.noise,
         "gain": proposal.gain,
         "lag": proposal.lag,
+        "assumed": proposal.assumed,
+        "bend": rounded(_BENT / (y.high - y.low)),
+        "bend_least": rounded(-_BENT_LEAST / (y.high - y.low)),
+        "bend_most": rounded(1.0 / (y.high - y.low)),
+        "bend_unit": _per("1", "K" if y.unit in {"°C", "°F"} else y.unit) if y.unit else "1",
         "rest": proposal.rest,
         "title": f"{title}Plant" if title in _TAKEN else title,
         "absolute": _ABSOLUTE.get(y.unit),

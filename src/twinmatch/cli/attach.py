@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from twinmatch.cli.shared import add_options, column_map, session_to_record
+from twinmatch.cli.shared import add_goal_options, add_options, column_map, goal_of, session_to_record
 from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.processes import EXIT_NOT_RECORDED, add_page_options, check_page_options, page_of
 from twinmatch.links.sources import protocol_of
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--period", help="sampling period of the rig's loop")
     add_options(parser, "--twin-config", "--candidates", "--memory", "--rig", "--session", "--no-record")
     add_page_options(parser)
+    add_goal_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,6 +77,8 @@ def run(options: argparse.Namespace) -> int:
         sessions = [session] if session else []
         code = _run_alone(options, values, session)
     else:
+        if options.reach is not None:
+            options.parser.error("--reach needs --alone; beside a graph: twinmatch dashboard --reach LEVEL")
         sessions, code = _run_graph(options, given_map, session)
     if code == 0:
         remember_recorded(options, sessions)
@@ -96,7 +99,9 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
         accepted[parameter.name] = parameter.accept(value, "recorder")
     limits = given_to(usual, accepted)
     try:
-        run_alone(AlonePlan(values, settings, candidates, session, limits, options.dashboard, options.tell))
+        goal = None if options.reach is None else goal_of(options)
+        plan = AlonePlan(values, settings, candidates, session, limits, options.dashboard, options.tell, goal)
+        run_alone(plan)
     except DiskError as error:
         print(f"twinmatch: {error}", file=sys.stderr)
         return EXIT_NOT_RECORDED

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
+from typing import Final
 
+from twinmatch.adding.data import data_for
 from twinmatch.cli.shared import (
     TERMS,
     Progress,
     add_options,
     check_writable,
+    column_map,
     node_words,
     open_shown,
     positive,
+    positive_period,
     write_json,
 )
 from twinmatch.controllers import (
@@ -23,29 +28,48 @@ from twinmatch.controllers import (
     TriedTwin,
     goal_named,
     next_experiment,
+    pid_document,
     try_controller,
 )
 from twinmatch.controllers.next_experiment import LEAST
 from twinmatch.nodes import require_ros
 from twinmatch.offline.controllers import (
     Ground,
+    NotTrustedError,
     experiment_terms,
     ground_of,
     members_from,
     read_law,
     usual_profile,
 )
+from twinmatch.offline.first_steps import ProposedPid, course_from_file, first_steps, pid_or_reason
 from twinmatch.offline.processes import held_interrupts
+from twinmatch.plants import find_plant
+from twinmatch.sessions import Session
 from twinmatch.showing.controllers import experiment_document, experiment_words
+from twinmatch.showing.first_steps import (
+    course_document,
+    course_words,
+    first_steps_document,
+    first_steps_words,
+    pid_words,
+)
+
+TABLES: Final = frozenset({".csv", ".tsv", ".txt"})
+"""Suffixes of tables, whose columns are mapped to the plant's signals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Judges the session, and finds the shortest course of set-points (of inputs, where the loop is not "
-        "known) within the safe range after which most is known. Nothing is commanded. Exit code: 0 a "
+        "known) within the safe range after which most is known. While no twin is trusted, it says why, "
+        "which course to record next, and which PID to begin with. Nothing is commanded. Exit code: 0 a "
         "course, 3 none that tells more than is known."
     )
-    session = "the recorded session; leave it out with --live"
+    session = (
+        "the recorded session, or a table (.csv) with --plant; leave it out with --live, or if nothing is "
+        "recorded yet: then --plant alone gives the first course"
+    )
     parser.add_argument("session", type=Path, nargs="?", metavar="SESSION", help=session)
     live = "ask the twin that runs beside the plant, which proposes a course from now on"
     parser.add_argument("--live", action="store_true", help=live)
@@ -63,6 +87,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--for", dest="goal", choices=tuple(GOALS), help=goal)
     law = "with --for controller: the law in question, as try-controller takes it"
     parser.add_argument("--loop", type=Path, metavar="FILE", help=law)
+    pid = "write a first PID that is safe for all that is possible to this file, as apply takes it"
+    parser.add_argument("--pid", type=Path, metavar="FILE", help=pid)
+    add_options(parser, "--map", help="columns of a table, as for twinmatch import")
+    add_options(parser, "--map-file")
+    add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
     add_options(parser, "--json", help="write the course, and what it brings, to this file")
     add_options(parser, "--figure", help="draw the course with the bands of all twins (.png, .svg or .pdf)")
     add_options(parser, *TERMS)
@@ -78,16 +107,21 @@ def run(options: argparse.Namespace) -> int:
         return _resume(options)
     if options.live or options.go:
         return _ask(options)
+    check_writable(options.json, options.figure, options.pid)
     if options.session is None:
-        options.parser.error("give a SESSION, or --live to ask the twin that runs")
-    check_writable(options.json, options.figure)
+        return _from_plant_file(options)
     if (options.goal == "controller") != (options.loop is not None):
         raise ControllerError("experiment: --for controller and --loop FILE belong together")
     with held_interrupts():
-        ground = ground_of(open_shown(options.session, options.plant), options.config, options.candidates)
+        ground = ground_of(_opened(options), options.config, options.candidates)
         terms = experiment_terms(ground, options.minutes, options.within)
-        with Progress() as progress:
-            twins = members_from(ground, watch=progress.advance)
+        try:
+            with Progress() as progress:
+                twins = members_from(ground, watch=progress.advance)
+        except NotTrustedError as error:
+            return _before_trust(ground, error.reason, options)
+        if options.pid is not None:
+            return _first_pid(ground, twins, options)
         answer = None if options.loop is None else _tried(options.loop, ground, twins)
         goal = goal_named(options.goal, twins, terms, answer)
         with Progress("searching") as progress:
@@ -103,6 +137,71 @@ def run(options: argparse.Namespace) -> int:
 
         save(draw_experiment(experiment), options.figure)
     return 0 if experiment.course.characters >= LEAST else 3
+
+
+def _opened(options: argparse.Namespace) -> Session:
+    """The session, or the table with the plant's names or a map."""
+    path: Path = options.session
+    if options.plant is None or path.suffix.lower() not in TABLES:
+        return open_shown(path, options.plant)
+    plant = find_plant(options.plant)
+    with Progress("reading") as progress:
+        return data_for(path, plant, column_map(options), options.period, progress.advance)
+
+
+def _from_plant_file(options: argparse.Namespace) -> int:
+    """The first course of a plant of which nothing is recorded; returns the exit code."""
+    if options.plant is None:
+        options.parser.error(
+            "give a SESSION, --plant FILE if nothing is recorded yet, or --live to ask the twin that runs"
+        )
+    plant = find_plant(options.plant)
+    course, period = course_from_file(plant, positive_period(options, "experiment"), options.within)
+    print(
+        f"{plant.title}: nothing is recorded yet; by the plant file alone, at one sample every {period:g} s:"
+    )
+    for line in course_words(course):
+        print(f"  {line}")
+    print(f"then: twinmatch experiment LOG.csv --plant {shlex.quote(options.plant)}")
+    write_json(options.json, lambda: course_document(course))
+    return 0
+
+
+def _before_trust(ground: Ground, reason: str, options: argparse.Namespace) -> int:
+    """What to do while the twin is not trusted; returns the exit code."""
+    steps = first_steps(ground, reason, options.within)
+    for line in first_steps_words(steps):
+        print(line)
+    if steps.pid is not None:
+        _write_pid(steps.pid, options)
+    write_json(options.json, lambda: first_steps_document(steps))
+    return 0
+
+
+def _first_pid(ground: Ground, twins: tuple[TriedTwin, ...], options: argparse.Namespace) -> int:
+    """A first PID from twins that are trusted; returns the exit code."""
+    proposed, why_not = pid_or_reason(ground, twins)
+    print(f"{ground.session.name}: its twin is trusted")
+    for line in pid_words(proposed, why_not):
+        print(line)
+    if proposed is None:
+        return 3
+    _write_pid(proposed, options)
+    write_json(options.json, lambda: {"trusted": True, "pid": pid_document(proposed.pid.gains)})
+    return 0
+
+
+def _write_pid(proposed: ProposedPid, options: argparse.Namespace) -> None:
+    """Write the PID to the file that was named, and say how it is tried with a way back."""
+    write_json(options.pid, lambda: pid_document(proposed.pid.gains))
+    low, _, high = proposed.answer.courses.outputs
+    output = proposed.answer.plant.output
+    name = options.pid.name if options.pid is not None else "FILE (written with --pid FILE)"
+    print(f"  on a rig of this package: twinmatch apply {name}, which gives the law before back by itself")
+    print(
+        "  on another controller: note its gains first, and go back to them if a step by a tenth of the "
+        f"range takes {output.name} below {low.min():.4g} or above {high.max():.4g} {output.unit}".rstrip()
+    )
 
 
 def _tried(path: Path, ground: Ground, twins: tuple[TriedTwin, ...]) -> ControllerAnswer:
@@ -130,6 +229,7 @@ def _ask(options: argparse.Namespace) -> int:
         options.figure,
         options.config,
         options.candidates,
+        options.pid,
     )
     if any(option is not None for option in offline) or options.goal == "controller":
         options.parser.error(

@@ -8,9 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import MAX_SAMPLES, ArrivalQuestion, arrival
+from twinmatch.offline.clock_times import seconds_until
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.offline.outlooks import (
+    LONGEST,
     RECORDED,
     Prospect,
     ahead_of,
@@ -21,6 +25,7 @@ from twinmatch.offline.outlooks import (
     samples_at,
 )
 from twinmatch.offline.processes import held_interrupts
+from twinmatch.showing.arrivals import arrival_document, arrival_words
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
 from twinmatch.twin import TwinSettings, filled_stretches
@@ -34,8 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that sample is held."
     )
     add_options(parser, "session", metavar="SESSION")
-    several: dict[str, Any] = {"nargs": "+", "action": "extend", "required": True, "metavar": "SAMPLE"}
-    parser.add_argument("--at", type=_sample, **several, help="indices of the samples to forecast from")
+    several: dict[str, Any] = {"nargs": "+", "action": "extend", "metavar": "SAMPLE"}
+    at = "indices of the samples to forecast from (with --reach by default the last)"
+    parser.add_argument("--at", type=_sample, **several, help=at)
+    reach = "when will the output be at this level, and when does it get there if one begins now?"
+    parser.add_argument("--reach", type=float, metavar="LEVEL", help=reach)
+    by = "with --reach: when must one begin to be there at HH:MM, at a date and time, or in +SECONDS?"
+    parser.add_argument("--by", metavar="TIME", help=by)
     ahead = "set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session"
     parser.add_argument("--reference", metavar="FILE|recorded", help=ahead)
     parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
@@ -60,6 +70,12 @@ def run(options: argparse.Namespace) -> int:
     if options.candidate is not None and not options.candidate.strip():
         raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
     check_writable(options.json, options.figure)
+    if options.reach is not None:
+        return _arrivals(options)
+    if options.by is not None:
+        options.parser.error("--by needs --reach LEVEL")
+    if not options.at:
+        options.parser.error("give --at SAMPLE, or --reach LEVEL to forecast from the last one")
     with held_interrupts():
         settings, requested = _forecasts(options)
 
@@ -74,6 +90,42 @@ def run(options: argparse.Namespace) -> int:
         from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
 
         save(draw_forecasts(tuple(forecast.fan for forecast in requested), settings.plant), options.figure)
+    return 0
+
+
+def _arrivals(options: argparse.Namespace) -> int:
+    """When the output is at a level, from each sample, and when to begin; returns the exit code."""
+    if options.reference is not None or options.horizon is not None or options.figure is not None:
+        options.parser.error("--reach takes --hold, --by, --at, --candidate and --json")
+    documents = []
+    with held_interrupts():
+        session = open_shown(options.session, options.plant)
+        terms = terms_from_files(session, options.config, options.candidates)
+        settings = terms.settings
+        indices = options.at or [session.samples[-1].index]
+        samples = samples_at(session, indices)
+        with Progress() as progress:
+            by_sample = prospects(
+                session,
+                terms,
+                samples,
+                candidate=options.candidate,
+                whole=options.from_the_beginning,
+                watch=progress.advance,
+            )
+        for index in indices:
+            stamp = samples[index].stamp
+            by = None if options.by is None else seconds_until(options.by, stamp)
+            outlook = by_sample[index].outlook
+            longest = samples_ahead(LONGEST * time_scale(settings.period), settings) if by else MAX_SAMPLES
+            answer = arrival(outlook, ArrivalQuestion(options.reach, by, options.hold, longest=longest))
+            print(f"From sample {index}, {outlook.candidate}:")
+            for line in arrival_words(answer, settings.plant, stamp, closed=outlook.closed):
+                print(f"  {line}")
+            for note in answer.notes:
+                print(f"  Note: {note.rstrip('.')}.")
+            documents.append({"sample": index, "candidate": outlook.candidate, **arrival_document(answer)})
+    write_json(options.json, lambda: documents)
     return 0
 
 

@@ -8,11 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from twinmatch.adding import Proposal, example, files_of, propose
-from twinmatch.cli.shared import Progress, add_options, positive_period
+from twinmatch.adding.blank import blank, signal_said
+from twinmatch.cli.shared import Progress, add_options, positive, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
 from twinmatch.importing.tables import read_table
+from twinmatch.offline.first_steps import course_from_file
+from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
+from twinmatch.showing.first_steps import course_words
+
+HEATER = "heater [%] 0 to 100"
+"""What is moved where nothing else is said."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +29,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guess = "which column is which signal, as for twinmatch import; without it a guess is made"
     add_options(parser, "--map", help=guess)
     add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
+    nothing = "write a file from --measured, --moved and --takes alone, and say what to record first"
+    parser.add_argument("--nothing-recorded", action="store_true", help=nothing)
+    measured = "what is measured, its unit and the range that it may never leave: 'temperature [°C] 10 to 95'"
+    parser.add_argument("--measured", metavar="SIGNAL", help=measured)
+    moved = "what is moved, with its unit and limits (default: 'heater [%%] 0 to 100')"
+    parser.add_argument("--moved", metavar="SIGNAL", default=HEATER, help=moved)
+    takes = "about how long two thirds of a change take, s"
+    parser.add_argument("--takes", type=positive(float, "a number of seconds"), metavar="S", help=takes)
+    now = "the reading now, with nothing moved"
+    parser.add_argument("--now", type=float, metavar="VALUE", help=now)
     parser.add_argument(
         "-o",
         "--output",
@@ -52,13 +69,19 @@ def run(options: argparse.Namespace) -> int:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
-    _say(options, [str(folder / name) for name in files], " --gaps split" if proposal.split else "")
+    paths = [str(folder / name) for name in files]
+    if options.nothing_recorded:
+        _say_course(paths, proposal)
+    else:
+        _say(options, paths, proposal)
     return 0
 
 
 def _proposal(options: argparse.Namespace) -> Proposal:
     period = positive_period(options, "new-plant")
     signal_map = parse_map(options.map)
+    if options.nothing_recorded:
+        return _blank(options)
     if options.table is None:
         if signal_map.sources:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
@@ -75,10 +98,40 @@ def _proposal(options: argparse.Namespace) -> Proposal:
     return propose(table, replace(signal_map, period=period))
 
 
-def _say(options: argparse.Namespace, files: list[str], further_options: str) -> None:
+def _blank(options: argparse.Namespace) -> Proposal:
+    if options.table is not None or options.measured is None or options.takes is None:
+        options.parser.error("--nothing-recorded needs --measured and --takes, and takes no table")
+    measured = signal_said(options.measured, "--measured")
+    proposal = blank(measured, signal_said(options.moved, "--moved"), options.takes, options.now)
+    return proposal if options.period is None else replace(proposal, period=options.period)
+
+
+def _say_course(files: list[str], proposal: Proposal) -> None:
+    """Print the first course of the plant file that was written, and where its recording belongs."""
+    path = files[0]
+    course, period = course_from_file(find_plant(path), proposal.period)
+    print(f"Written: {', '.join(files)}")
+    print(f"Record first, at one sample every {period:g} s:")
+    for line in course_words(course):
+        print(f"  {line}")
+    columns = f"time,{proposal.output.name},{proposal.input.name}"
+    print(f"as a table with the columns {columns} (time in seconds). Then:")
+    print(f"  twinmatch experiment LOG.csv --plant {shlex.quote(path)} --pid pid.json")
+    print("docs/newcomer.md goes the whole way.")
+
+
+def _say(options: argparse.Namespace, files: list[str], proposal: Proposal) -> None:
     plant, test, config, *mapped = map(shlex.quote, files)
     session = f"{options.name}_session"
+    further_options = " --gaps split" if proposal.split else ""
     print(f"Written: {', '.join(files)}")
+    if proposal.held:
+        print(
+            f"Note: {proposal.input.name} stood at one level, so gain and rest cannot be told apart: they "
+            f"hold if {proposal.output.name} rested at its first readings. Rest first; how long, and which "
+            "step then:"
+        )
+        print(f"  twinmatch experiment --plant {shlex.quote(files[0])}")
     print("Next:")
     print(f"  1. check {plant}: names, units, ranges, equations (lines marked *)")
     print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, and what to change")

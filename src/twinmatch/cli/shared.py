@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from twinmatch.sampling.sources import SignalMap
     from twinmatch.sessions import Session
     from twinmatch.showing.console import Console
+    from twinmatch.showing.page.goal import Goal
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
@@ -298,6 +299,25 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
     shared_options = {name: getattr(options, name) for name in ("address", "port", "hosts")}
     words = node_words(command, {**shared_options, **parameters})
     return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
+
+
+def add_goal_options(parser: argparse._ActionsContainer) -> None:
+    """Add `--reach` and `--by` of a running plant."""
+    reach = "say when the output is at this level, and when it is there if one begins now"
+    parser.add_argument("--reach", type=float, metavar="LEVEL", help=reach)
+    by = "with --reach: say when to begin to be there by this time of day"
+    parser.add_argument("--by", metavar="HH:MM", help=by)
+
+
+def goal_of(options: argparse.Namespace) -> Goal:
+    """The goal that `--reach` and `--by` name.
+
+    Raises:
+        ClockTimeError: the level or the time cannot be used.
+    """
+    from twinmatch.showing.page.goal import Goal  # noqa: PLC0415 — few commands have one
+
+    return Goal(options.reach, options.by or "")
 
 
 def node_words(name: str, parameters: Mapping[str, Any]) -> list[str]:

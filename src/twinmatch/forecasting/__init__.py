@@ -7,6 +7,7 @@ width of the bands from past errors, and the `Ledger` keeps the cost of every ca
 much better they are than those of the baselines, which need no twin.
 """
 
+from twinmatch.forecasting.arrival import Arrival, ArrivalQuestion, arrival
 from twinmatch.forecasting.baselines import Arx, ArxForecast
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
@@ -19,6 +20,7 @@ from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
 from twinmatch.forecasting.scoring import Calibration, Ledger, leads_of
 from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
+    MAX_SAMPLES,
     NEAR,
     Moment,
     Question,
@@ -32,7 +34,10 @@ from twinmatch.forecasting.what_if import (
 __all__ = [
     "CONFIDENCE",
     "HORIZONS",
+    "MAX_SAMPLES",
     "NEAR",
+    "Arrival",
+    "ArrivalQuestion",
     "Arx",
     "ArxForecast",
     "Band",
@@ -47,6 +52,7 @@ __all__ = [
     "SetPoints",
     "StateFilter",
     "WhatIfResult",
+    "arrival",
     "largest_input",
     "leads_of",
     "settling_time",

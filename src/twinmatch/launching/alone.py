@@ -32,6 +32,7 @@ from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.sessions.recording import FLUSH
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
+from twinmatch.showing.page.goal import Goal
 from twinmatch.showing.page.health import kind_of
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import view_on
@@ -59,6 +60,8 @@ class AlonePlan:
     """Port of the page; None: there is none."""
     tell: str | None = None
     """Broker that gets what the page shows; None: none."""
+    goal: Goal | None = None
+    """Level of which page and broker show when it is reached; None: none."""
 
 
 class TwinSession(Recording):
@@ -136,7 +139,7 @@ class Alone:
             pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
         self._listener.open(opened)
-        self._shown = RunShown(plan.settings, plan.page, plan.tell)
+        self._shown = RunShown(plan.settings, plan.page, plan.tell, plan.goal)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
         self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._spool = SampleSpool()

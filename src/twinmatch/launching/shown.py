@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING, cast
 
@@ -9,6 +10,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Question, what_if
 from twinmatch.plants.records import description_of
 from twinmatch.showing.forecasts import forecast_words
+from twinmatch.showing.page.goal import ASKED_EVERY, Goal, answer_of
 from twinmatch.showing.page.health import ERROR, OK
 from twinmatch.showing.page.shown import Shown
 from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer
@@ -53,8 +55,11 @@ class Asked:
 class RunShown(Shown):
     """Keeps the state of a run in this process up to date for those who look at it."""
 
-    def __init__(self, settings: TwinSettings, port: int | None, broker: str | None) -> None:
-        """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows.
+    def __init__(
+        self, settings: TwinSettings, port: int | None, broker: str | None, goal: Goal | None = None
+    ) -> None:
+        """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows; with
+        a `goal` also when it is reached.
 
         Raises:
             TwinmatchError: the port cannot be used, or the broker cannot be reached.
@@ -63,6 +68,8 @@ class RunShown(Shown):
         self.wanted = port is not None
         """Whether anybody looks."""
         self._asked = Asked(self.state, settings)
+        self._goal = goal
+        self._goal_asked_at = -math.inf
         try:
             if port is not None:  # without `control`, a tab makes no other requests than these
                 self.serve(cast("Requests", self._asked), port)
@@ -83,13 +90,17 @@ class RunShown(Shown):
         if mirror is not None:
             row = TwinRow(*(getattr(mirror, name) for name in TwinRow._fields))
             state.push_twin(mirror.sample.index, row)
-        self._asked.snapshot = snapshot
+        self.ask_from(snapshot)
         if judged.forecast is not None:
             state.push_forecast(judged.forecast)
         for estimate in judged.outcome.estimates:
             state.push_estimate(estimate)
         for verdict in judged.outcome.verdicts:
             state.push_verdict(verdict)
+
+    def ask_from(self, snapshot: Snapshot) -> None:
+        """Answer questions from these twins."""
+        self._asked.snapshot = snapshot
 
     def trouble(self, name: str, text: str) -> None:
         """Show why a signal gives no samples; empty: it does."""
@@ -98,7 +109,22 @@ class RunShown(Shown):
 
     def tell(self) -> str | None:
         """Do what a `Shown` does, and show why nothing reaches the broker."""
+        self._ask_goal(time.monotonic())
         trouble = super().tell()
         if trouble is not None:
             self.trouble("broker", trouble)
         return trouble
+
+    def _ask_goal(self, now: float) -> None:
+        """Ask the leader when the goal is reached, from time to time; before there is one, nobody."""
+        if self._goal is None or now - self._goal_asked_at < ASKED_EVERY:
+            return
+        self._goal_asked_at = now
+        try:
+            answer = answer_of(self._goal, self._asked.snapshot.outlook())
+        except TwinmatchError as error:
+            self.state.push_goal(None)
+            self.trouble("goal", str(error) if self.state.forecast is not None else "")
+        else:
+            self.state.push_goal(answer)
+            self.trouble("goal", "")

@@ -20,6 +20,7 @@ from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
 from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
 from twinmatch.offline.outlooks import LONGEST
+from twinmatch.offline.separation import inseparable_in
 from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
@@ -51,7 +52,7 @@ class _SessionFits:
     which a model has no support (Burnham and Anderson 2002)."""
 
 
-_FITS: Final = _SessionFits()
+FITS: Final = _SessionFits()
 
 
 SMOOTHED = 10.0
@@ -80,6 +81,17 @@ def resting_point(path: Path) -> FloatArray | None:
         return np.array(parse_json(read_text(path), str(path))["y0"], dtype=np.float64).ravel()
     except (ValueError, LookupError, TypeError):
         return None
+
+
+class NotTrustedError(ControllerError):
+    """The twin that a session leaves is not trusted; `reason` says why, in words."""
+
+    def __init__(self, session: str, level: TrustLevel, reason: str) -> None:
+        super().__init__(
+            f"session {session}: its twin ends {level.name.lower()} ({reason}), so it cannot say what a "
+            "controller would do; twinmatch experiment says what to record until the twin is trusted"
+        )
+        self.reason = reason
 
 
 class Ground(NamedTuple):
@@ -184,7 +196,7 @@ def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTw
             members.extend(tried_twins(twin.discriminator.forecaster.snapshot()))
 
     judged = judge(session, ground.terms, watch=watch, beside=beside)
-    _require_trusted(session.name, judged.verdicts[-1] if judged.verdicts else None)
+    _require_trusted(ground, judged.verdicts[-1] if judged.verdicts else None)
     return tuple(map(ground.seen_by, members))
 
 
@@ -199,15 +211,15 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
     fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
-    if not best.fit[0] >= _FITS.least_fit:
+    if not best.fit[0] >= FITS.least_fit:
         raise ControllerError(
             f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
-    supported = [fit.model for fit in fits if fit.charge <= best.charge + _FITS.most_charge]
-    samples = _FITS.window * HOLD  # in a part, if the plant has no time constant
-    parts = [part for stretch in whole for part in in_parts(plant, stretch, _FITS.window, otherwise=samples)]
-    windows = [part for part in parts if len(part) >= _FITS.shortest]
+    supported = [fit.model for fit in fits if fit.charge <= best.charge + FITS.most_charge]
+    samples = FITS.window * HOLD  # in a part, if the plant has no time constant
+    parts = [part for stretch in whole for part in in_parts(plant, stretch, FITS.window, otherwise=samples)]
+    windows = [part for part in parts if len(part) >= FITS.shortest]
     members = []
     total = len(windows) * len(supported)
     for k, (model, window) in enumerate((model, window) for model in supported for window in windows):
@@ -249,15 +261,20 @@ def _tried_from_memory(candidate: Candidate) -> TriedTwin:
     return TriedTwin(f"{CENTRE}: {candidate.name}", candidate.parameters, candidate.free, None)
 
 
-def _require_trusted(name: str, verdict: Verdict | None) -> None:
-    if verdict is None:
-        raise ControllerError(f"session {name}: no verdict came of it, so no controller can be tried on it")
-    trust = statements_of(verdict).trust
-    if trust.level is not TrustLevel.TRUSTED:
+def _require_trusted(ground: Ground, verdict: Verdict | None) -> None:
+    name = ground.session.name
+    trust = None if verdict is None else statements_of(verdict).trust
+    if trust is not None and trust.level is TrustLevel.TRUSTED:
+        return
+    level = TrustLevel.UNKNOWN if trust is None else trust.level
+    reason = "no verdict came of it" if trust is None else trust.reason
+    if level is TrustLevel.FAULT:
         raise ControllerError(
-            f"session {name}: its twin ends {trust.level.value} ({trust.reason}), so it cannot say what a "
-            "controller would do; record until the twin is trusted"
+            f"session {name}: its twin ends fault ({reason}), so it cannot say what a controller would do; "
+            "record it again once the plant is sound"
         )
+    inseparable = inseparable_in(stretches(ground.session.samples, ground.session.period), ground.plant)
+    raise NotTrustedError(name, level, reason if inseparable is None else inseparable.sentence)
 
 
 def experiment_terms(

@@ -10,6 +10,7 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.showing.page.goal import GoalAnswer
 from twinmatch.showing.page.outline import ahead, coverage
 from twinmatch.showing.page.state import DashboardState
 
@@ -30,7 +31,8 @@ class StateMetrics(Collector):
         state = self._state
         with state.lock:
             of_verdict = _of_verdict(state, state.verdict) if state.verdict else ()
-            gauges = [*_of_state(state, self._now), *of_verdict]
+            of_goal = _of_goal(state.goal) if state.goal else ()
+            gauges = [*_of_state(state, self._now), *of_verdict, *of_goal]
         for name, text, labels, numbers in gauges:
             family = GaugeMetricFamily(f"twinmatch_{name}", text, labels=labels.split())
             for number, values in numbers:
@@ -66,6 +68,22 @@ def _of_state(state: DashboardState, now: float) -> Iterator[_Gauge]:
         text = f"The leader's forecast at a horizon in seconds, {edge} of its band."
         numbers = [(getattr(point, edge), values) for point, values in points]
         yield f"forecast_{edge}", text, "signal unit horizon", numbers
+
+
+def _of_goal(answer: GoalAnswer) -> Iterator[_Gauge]:
+    """When the level that is asked for is reached; what is not within the forecast has no number."""
+    level = f"{answer.goal.level:g}"
+    moments = (("held", answer.held), ("moved", answer.moved))
+    text = "Time until the level is reached, with nothing changed (held) or the move made now (moved)."
+    numbers = []
+    for under, moment in moments:
+        for edge in ("expected", "earliest", "latest"):
+            time = getattr(moment, edge)
+            if time is not None:
+                numbers.append((time, (level, under, edge)))
+    yield "reach_seconds", text, "level under edge", numbers
+    text = "Time until the move has to be made so that the level is reached in time."
+    yield "begin_seconds", text, "level by", [(answer.begin, (level, answer.goal.by))]
 
 
 def _of_verdict(state: DashboardState, verdict: Verdict) -> Iterator[_Gauge]:

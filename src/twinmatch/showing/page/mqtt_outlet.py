@@ -4,9 +4,11 @@ nothing."""
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from typing import Any, Final, NamedTuple
 
 from paho.mqtt.client import Client
@@ -140,6 +142,21 @@ def _document(state: DashboardState) -> dict[str, Any]:
         "coverage": None if share is None else round(100.0 * share, 1),
         "fault": "; ".join(fault.with_signal for fault in statements.faults) or None,
         "sample": state.sample,
+        **_goal_document(state),
+    }
+
+
+def _goal_document(state: DashboardState) -> dict[str, Any]:
+    """When the level that is asked for is reached, s after the sample; empty if nothing is asked."""
+    answer = state.goal
+    if answer is None:
+        return {}
+    return {
+        "reach": answer.goal.level,
+        "reached": asdict(answer.held),
+        "reached_if_moved": asdict(answer.moved),
+        "move": answer.move,
+        "begin": None if math.isnan(answer.begin) else round(answer.begin),
     }
 
 
@@ -181,6 +198,19 @@ def _entities(state: DashboardState) -> Iterator[_Entity]:
         mean = f"{template['forecast']}.get('{output.name}')"
         attributes = {**edges, "ahead": template["ahead"]}
         yield _Entity("sensor", f"forecast_{output.name}", fields, mean, attributes)
+    if state.goal is not None:
+        yield from _goal_entities(template, state.goal.goal.level, state.described.outputs[0].unit)
     problem = {"name": "Fault", "device_class": "problem"}
     is_faulty = "'ON' if value_json.fault else 'OFF'"
     yield _Entity("binary_sensor", "fault", problem, is_faulty, {"fault": template["fault"]})
+
+
+def _goal_entities(template: dict[str, str], level: float, unit: str) -> Iterator[_Entity]:
+    """When the level that is asked for is reached, and when to begin."""
+    seconds = {"device_class": "duration", "unit_of_measurement": "s", **_MEASURED}
+    named = f"{level:g} {unit}".rstrip()
+    for key, name in (("reached", f"{named} reached in"), ("reached_if_moved", f"{named} if begun now in")):
+        edges = {edge: f"{template[key]}.{edge}" for edge in ("earliest", "latest")}
+        yield _Entity("sensor", key, {"name": name, **seconds}, f"{template[key]}.expected", edges)
+    begin = {"name": f"Begin for {named} in", **seconds}
+    yield _Entity("sensor", "begin", begin, template["begin"], {"move": template["move"]})

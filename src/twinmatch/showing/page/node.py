@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -25,6 +26,7 @@ from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
+from twinmatch.showing.page.goal import ASKED_EVERY, Goal, number_in
 from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.shown import Shown
 from twinmatch.showing.page.state import DriveReport, TwinRow
@@ -59,6 +61,8 @@ class Dashboard(TwinmatchNode):
         *place_settings(5006),
         Setting("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
         Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
+        Setting("reach", "", "Level of which to say when the output is there; empty: none."),
+        Setting("by", "", "Time of day, HH:MM, of which to say when one must begin; empty: none."),
         Setting("tell", "", "Broker to publish over MQTT to, such as mqtt://HOST; empty: none."),
     )
     CLOSING = 10
@@ -109,6 +113,10 @@ class Dashboard(TwinmatchNode):
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):
             self.create_subscription(kind, topic, take, qos)
+        if self.values["reach"]:
+            goal = Goal(number_in(self.values["reach"], "dashboard: reach"), self.values["by"])
+            ask = partial(self._requests.reach, goal)
+            self.create_timer(ASKED_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self.values["tell"]:

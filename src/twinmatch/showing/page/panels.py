@@ -327,6 +327,15 @@ def what_if(answer: WhatIfAnswer | None) -> str:
     return f'<div class="answered"><b>{escape(answer.question)}</b>{lines}</div>'
 
 
+def goal(state: DashboardState) -> str:
+    """When the level that is asked for is reached, and when to begin."""
+    if state.goal is None:
+        return ""
+    words = state.goal.lines(state.described.outputs[0].unit)
+    lines = "".join(f"<p>{escape(line)}</p>" for line in words)
+    return f'<div class="answered"><b>When is it there?</b>{lines}</div>'
+
+
 def notice(state: DashboardState) -> str:
     """The result of the last request."""
     newest = state.notice

@@ -13,10 +13,12 @@ from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from twinmatch.nodes.messages import record_of
+from twinmatch.forecasting import Moment
+from twinmatch.nodes.messages import nanoseconds, record_of
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecasts import forecast_words
+from twinmatch.showing.page.goal import Goal, soonest
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.srv import ApplyLaw, Experiment, WhatIf
@@ -24,6 +26,17 @@ from twinmatch_msgs.srv import ApplyLaw, Experiment, WhatIf
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
 """Parameters of the controller that show whether it follows a set-point from outside."""
 DRIVER = "the node that drives the plant"
+
+
+def _reached_of(answer: WhatIf.Response) -> Moment:
+    """When the level of an answer is first reached."""
+    times = (answer.reach, answer.reach_earliest, answer.reach_latest)
+    expected, earliest, latest = (None if math.isnan(time) else time for time in times)
+    return Moment(expected, earliest, latest)
+
+
+def _ignored(why: str) -> None:
+    """Without an answer nothing is shown: the page says which nodes are missing."""
 
 
 class Requests:
@@ -90,6 +103,38 @@ class Requests:
 
         show_text("waiting for the forecast")
         self._call(self._what_if, request, "the discriminator", show, show_text)
+
+    def reach(self, goal: Goal) -> None:
+        """Ask the discriminator when a goal is reached: if nothing is changed, and by each move that may lead
+        there. The newest forecast says whether the loop is known; without one nobody is asked."""
+        forecast = self._state.current_forecast
+        settings = self._settings()
+        if forecast is None or not settings.plant.single:
+            return
+        moves = goal.moves(settings.plant, closed=forecast.closed)
+        questions = [goal.held(settings.period), *(goal.moved(move, settings.period) for move in moves)]
+        answers: dict[int, WhatIf.Response] = {}
+
+        def take(number: int, answer: WhatIf.Response) -> None:
+            answers[number] = answer
+            if len(answers) < len(questions):
+                return
+            if not all(answered.success for answered in answers.values()):
+                self._state.push_goal(None)
+                return
+            moments = [_reached_of(answers[k]) for k in range(len(questions))]
+            stamp = nanoseconds(answers[0].forecast.header.stamp)
+            moved = dict(zip(moves, moments[1:], strict=True))
+            self._state.push_goal(soonest(goal, moments[0], moved, stamp))
+
+        for number, question in enumerate(questions):
+            request = WhatIf.Request(
+                times=list(question.times),
+                levels=list(question.levels),
+                horizon=question.horizon,
+                level=[goal.level],
+            )
+            self._call(self._what_if, request, "the discriminator", partial(take, number), _ignored)
 
     def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
         """Ask which experiment to do next, have it run, or stop the one that runs."""

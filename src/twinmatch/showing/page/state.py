@@ -23,6 +23,7 @@ from twinmatch.health import EstimatedReading
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.experiments import report_words
+from twinmatch.showing.page.goal import GoalAnswer
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import (
@@ -201,6 +202,8 @@ class DashboardState:
         """The leader's newest forecast."""
         self.what_if: WhatIfAnswer | None = None
         """The newest what-if question."""
+        self.goal: GoalAnswer | None = None
+        """The newest answer to when a level is reached; None: nothing is asked, or there is no twin."""
         self.forecast_changes = 0
         """How often the forecast or the what-if answer has changed, over all sessions."""
         self.drive: DriveReport | None = None
@@ -370,6 +373,12 @@ class DashboardState:
             elif change == "recovered":
                 self._note(EventKind.NODE, Mark.GOOD, f"{plain} has recovered", message)
 
+    def push_goal(self, answer: GoalAnswer | None) -> None:
+        """Take when a level is reached."""
+        with self.lock:
+            self.goal = answer
+            self.forecast_changes += 1
+
     def push_image(self, image: NDArray[np.float32]) -> None:
         """Take a thermal image in °C, shape (rows, columns); one without any value is ignored."""
         if not np.isfinite(image).any():
@@ -396,6 +405,7 @@ class DashboardState:
         self.sentence = ""
         self.forecast = None
         self.what_if = None
+        self.goal = None
         self.forecast_changes = self.forecast_changes + 1
         self.tally = Tally()
         self.taught = []

@@ -229,7 +229,7 @@ class Tab:
             what_if = None if state.what_if is None else state.what_if.forecast
             self._charts.draw_forecasts(forecast, what_if, state.period, most)
             self._charts.span(span if forecast is None else span + most)
-            self._show("answer", panels.what_if(state.what_if))
+            self._show("answer", panels.goal(state) + panels.what_if(state.what_if))
 
     def _update_texts(self, now: float) -> None:
         state = self._state
