@@ -17,7 +17,7 @@ from tests.support.plants import Lag
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.forecasting import Moment, Outlook
-from twinmatch.launching.shown import Shown
+from twinmatch.launching.shown import RunShown
 from twinmatch.offline.clock_times import ClockTimeError, seconds_until
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
@@ -110,10 +110,10 @@ def test_it_is_on_the_page_a_metric_and_an_entity() -> None:
 
 def test_a_run_in_one_process_asks_its_leader() -> None:
     """Before there is one nothing is shown; then the answer is."""
-    shown = Shown(TwinSettings.of(Lag, period=1.0, law=None), None, None, Goal(8.0))
+    shown = RunShown(TwinSettings.of(Lag, period=1.0, law=None), None, None, Goal(8.0))
     shown.tell()
     assert shown.state.goal is None
-    shown = Shown(TwinSettings.of(Lag, period=1.0, law=None), None, None, Goal(8.0))
+    shown = RunShown(TwinSettings.of(Lag, period=1.0, law=None), None, None, Goal(8.0))
     shown.ask_from(forecaster().snapshot())
     shown.tell()
     assert shown.state.goal is not None
