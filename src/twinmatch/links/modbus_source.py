@@ -233,6 +233,10 @@ class ModbusSource:
         """Why the newest cycle was dropped."""
         return self._trouble
 
+    def news(self) -> list[str]:
+        """Nothing: what is wrong is an error or a trouble."""
+        return []
+
     def close(self) -> bool:
         """End the thread, and disconnect."""
         return end_in_order(self._thread.close, self._device.close)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final, Protocol
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError
 from twinmatch.sampling.names import signals_of
 from twinmatch.sampling.sampler import Sampler
 from twinmatch.sampling.sources import FollowedSignal, SignalSource
@@ -22,11 +24,33 @@ _CHECKS: Final = 20
 _INTERVAL: Final = (0.002, 0.05)
 """Shortest and longest interval between two checks, s."""
 
-Read = Callable[[Channel], float | None]
-"""The number at a channel of one message; None if the message has nothing for it.
+Read = Callable[[Channel], float | str | None]
+"""The number or text at a channel of one message; None if the message has nothing for it.
 
-Raises a SamplingError if what is there cannot be meant.
+Raises an UnreadableError if what is there is not a value, and a SamplingError if it cannot be meant.
 """
+_MOST_REFUSALS: Final = 20
+"""Most different refusals that are kept to be told; the others are only counted."""
+
+
+@dataclass
+class Refusals:
+    """Values of a signal that were not numbers."""
+
+    count: int = 0
+    now: str = ""
+    """Why the newest value was refused; empty: it was not."""
+    untold: list[str] = field(default_factory=list)
+    """Reasons that nobody has been told yet."""
+    told: set[str] = field(default_factory=set)
+
+    def add(self, reason: str) -> None:
+        """Take one more."""
+        self.count += 1
+        self.now = reason
+        if reason not in self.told and len(self.told) < _MOST_REFUSALS:
+            self.told.add(reason)
+            self.untold.append(reason)
 
 
 class Receive(Protocol):
@@ -68,6 +92,9 @@ class Source(Protocol):
 
     def trouble(self, topic: str) -> str:
         """Why no numbers come from a topic now; empty if nothing is known against it."""
+
+    def news(self) -> list[str]:
+        """What it has noticed since it was last asked, for the user to know; each thing one time."""
 
     def close(self) -> bool:
         """End it; nothing is handed on any longer. Returns whether its threads have ended."""
@@ -112,6 +139,8 @@ class SignalListener:
         """That the newest stamp was ahead of this machine's clock; empty: it was not."""
         self.misnamed: dict[str, str] = {}
         """Why messages are left out, by signal."""
+        self.refusals = {name: Refusals() for name in sources}
+        """Values that were not numbers, by signal."""
         self._sources = sources
         self._now = now
         self._wait = wait
@@ -172,6 +201,7 @@ class SignalListener:
             fresh |= {place: (number, measured) for place, number in numbers.items()}
             if numbers:
                 self._heard[name] = time.monotonic()
+                self.refusals[name].now = ""
                 if len(fresh) == len(source.channels):
                     value = source.value([number for number, _ in fresh.values()])
                     oldest = min(number_stamp for _, number_stamp in fresh.values())
@@ -195,12 +225,23 @@ class SignalListener:
         """A tick of the timer, where that paces the samples."""
         self.sampler.tick(self._now())
 
+    def news(self) -> list[str]:
+        """What has to be told at once, each thing one time: values that were refused, and what sources notice."""
+        lines = []
+        for name, refusals in self.refusals.items():
+            lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.untold]
+            refusals.untold.clear()
+        return lines + self._source.news()
+
     def close(self) -> bool:
         """End the source, if one was opened; returns whether its threads have ended."""
         return self._close()
 
     def trouble(self, name: str) -> str:
         """Why a signal gives no samples now; empty if it does."""
+        refused = self.refusals[name].now
+        if refused and not self._source.lost:
+            return f"{name}: {refused}; no samples until there is a number"
         return self._silence(name) or self._explained(name, self.sampler.troubles.get(name, ""))
 
     def _numbers(self, name: str, source: FollowedSignal, topic: str, read: Read) -> dict[int, float]:
@@ -212,14 +253,35 @@ class SignalListener:
         try:
             numbers = {}
             for place, channel in enumerate(source.channels):
-                if channel.topic == topic:
-                    numbers[place] = read(channel)
+                value = read(channel) if channel.topic == topic else None
+                if value is not None:
+                    numbers[place] = self._finite(name, source.number(value))
+        except UnreadableError as error:
+            self._end(name, f"{self.channels[name][0].text}: {error}")
+            return {}
         except SamplingError as error:
             if not self._has_samples:
                 self.failed = SamplingError(f"{name}: {error}")
             self.misnamed[name] = f"{error}; other messages are left out"
             return {}
-        return {place: number for place, number in numbers.items() if number is not None}
+        return numbers
+
+    def _finite(self, name: str, number: float) -> float:
+        """The number as it is; one that is not finite ends a value that would otherwise hold for ever.
+
+        Raises:
+            UnreadableError: it does.
+        """
+        if not math.isfinite(number) and not self.sampler.limits[name].max_age:
+            raise UnreadableError(f"{number:g} is not a value")
+        return number
+
+    def _end(self, name: str, reason: str) -> None:
+        """End a signal's value: what has come instead cannot be read."""
+        self._heard[name] = time.monotonic()
+        self._fresh[name].clear()
+        self.sampler.end(name)
+        self.refusals[name].add(reason)
 
     def _silence(self, name: str) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
