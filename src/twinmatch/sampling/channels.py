@@ -48,7 +48,7 @@ class SamplingError(TwinmatchError):
 
 
 class UnreadableError(SamplingError):
-    """A message has something where the number should be, and it is not one: the value before it has ended."""
+    """A message has something else where the number should be: the value before it has ended."""
 
 
 class Label(str):

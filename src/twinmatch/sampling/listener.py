@@ -226,7 +226,7 @@ class SignalListener:
         self.sampler.tick(self._now())
 
     def news(self) -> list[str]:
-        """What has to be told at once, each thing one time: values that were refused, and what sources notice."""
+        """What has to be told at once, each thing one time: refused values, and what the source noticed."""
         lines = []
         for name, refusals in self.refusals.items():
             lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.untold]
@@ -301,6 +301,9 @@ class SignalListener:
     def _explained(self, name: str, trouble: str) -> str:
         text = self.channels[name][0].text
         if "outside" in trouble:
+            topics = [channel.topic for channel in self.channels[name]]
+            if why := next(filter(None, map(self._source.trouble, topics)), ""):
+                return f"{trouble} {self._units[name]}: no samples; {why}"
             return (
                 f"{trouble} {self._units[name]}: no samples; if {text} has another unit, append '; unit=' to "
                 "its map entry"

@@ -22,7 +22,10 @@ from twinmatch.sampling.document_paths import (
 from twinmatch.sampling.quoted import split_unquoted, unquoted_places
 from twinmatch.signals import NANOSECONDS
 
-SPARKPLUG: Final = "a payload of Sparkplug B, which is binary and not read here; have the device or its gateway publish JSON too"
+SPARKPLUG: Final = (
+    "a payload of Sparkplug B, which is binary and not read here; have the device or its gateway publish "
+    "JSON too"
+)
 _WILDCARDS: Final = ("#", "+")
 _ENDS_LIKE_TOPIC: Final = re.compile(r"(?:[0-9a-f]{2}:){5}[0-9a-f]{2}$", re.IGNORECASE)
 """A hardware address at the end of a place belongs to its topic."""

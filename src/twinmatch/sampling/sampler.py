@@ -32,7 +32,7 @@ LATEST_SETTLE: Final = 0.45
 """Largest settling time, in periods; later values would rather belong to the next tick."""
 
 _AT_ONCE: Final = 0.1
-"""Interval in which the same value counts once, in periods: some programs send messages two or three times."""
+"""Interval in which the same value counts once, in periods: some programs send a message repeatedly."""
 
 
 class Grid:
