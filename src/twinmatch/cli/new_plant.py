@@ -11,6 +11,7 @@ from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import Progress, add_options, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
+from twinmatch.importing.derived import with_derived
 from twinmatch.importing.tables import read_table
 from twinmatch.sampling.sources import SignalMap, parse_map
 
@@ -72,7 +73,8 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
-    return propose(table, replace(signal_map, period=period))
+    table, signal_map = with_derived(table, replace(signal_map, period=period))
+    return propose(table, signal_map)
 
 
 def _say(options: argparse.Namespace, files: list[str], further_options: str) -> None:

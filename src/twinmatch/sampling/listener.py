@@ -203,8 +203,11 @@ class SignalListener:
                 self._heard[name] = time.monotonic()
                 self.refusals[name].now = ""
                 if len(fresh) == len(source.channels):
-                    value = source.value([number for number, _ in fresh.values()])
                     oldest = min(number_stamp for _, number_stamp in fresh.values())
+                    numbers_in_order = [fresh[place][0] for place in range(len(source.channels))]
+                    value = source.value(numbers_in_order, oldest / NANOSECONDS)
+                    if not math.isfinite(value) and not self.sampler.limits[name].max_age:
+                        self.sampler.end(name)
                     self.sampler.take(name, value, oldest, arrived, retained=retained)
                     fresh.clear()
 

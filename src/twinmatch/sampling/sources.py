@@ -24,15 +24,17 @@ also output.1, output.2, …, input.1, … and reference.1, ….
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
+import numpy as np
 
 from twinmatch.decoding import FiniteNumber, decoded
 from twinmatch.errors import TwinmatchError
 from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError, parse_channel, usual_unit
+from twinmatch.sampling.formulas import Computing, formula_of
 from twinmatch.sampling.quoted import split_unquoted
 from twinmatch.sampling.written_numbers import WrittenNumber, written_number
 from twinmatch.sessions.files import RecordingError
@@ -129,6 +131,10 @@ class SignalSource:
         except SamplingError as error:
             raise SamplingError(f"{signal}: {error}") from None
 
+    def without_missing(self, numbers: FloatArray) -> FloatArray:
+        """Numbers with nan for those that mean "no value", shape (N,)."""
+        return np.where(np.isin(numbers, self.missing), np.nan, numbers) if self.missing else numbers
+
     def change(self, signal: str, place: str, wanted: str, stated: str = "", why: str = "") -> Conversion:
         """Conversion of scale·number + offset to the unit that the plant's signal has.
 
@@ -156,12 +162,20 @@ class SignalSource:
             ) from None
 
     def value(self, numbers: Sequence[Number], changes: Sequence[Conversion]) -> Number:
-        """The signal in the plant's unit, from the number and the conversion of each place."""
+        """The signal in the plant's unit, from the number and the conversion of each place.
+
+        With a formula there is one number, its result.
+        """
         parts = [
             (self.scale * number + self.offset) * change.scale + change.offset
-            for number, change in zip(numbers, changes, strict=True)
+            for number, change in zip(numbers, changes, strict=not self.formula)
         ]
         return sum(parts[1:], parts[0]) / len(parts)
+
+    def computed(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
+        """The results of the formula, shape (N,), from the numbers of each place and their times (s)."""
+        arguments = dict(zip(self.names, numbers, strict=True))
+        return formula_of(self.formula).values(arguments, seconds)
 
     def follow(
         self, signal: str, wanted: str, channels: Sequence[Channel], kinds: Sequence[str]
@@ -182,7 +196,8 @@ class SignalSource:
             # A number that the map scales is not in the unit of its message type.
             stated = usual_unit(kind, channel.path, wanted) if self.is_plain else ""
             changes.append(self.change(signal, channel.text, wanted, stated, f" (according to {kind})"))
-        return FollowedSignal(self, tuple(channels), tuple(changes), wanted)
+        computing = Computing(formula_of(self.formula)) if self.formula else None
+        return FollowedSignal(self, tuple(channels), tuple(changes), wanted, computing)
 
 
 class FollowedSignal(NamedTuple):
@@ -195,6 +210,8 @@ class FollowedSignal(NamedTuple):
     """To the plant's unit, by channel."""
     unit: str
     """Unit of the plant's signal."""
+    computing: Computing | None = None
+    """Of a formula; it remembers the message before."""
 
     def number(self, value: float | str) -> float:
         """The number that a message's value means.
@@ -204,9 +221,21 @@ class FollowedSignal(NamedTuple):
         """
         return self.source.number(value, self.unit)
 
-    def value(self, numbers: Sequence[Number]) -> Number:
-        """The signal in the plant's unit, from one number for each channel."""
-        return self.source.value(numbers, self.changes)
+    def value(self, numbers: Sequence[float], seconds: float) -> float:
+        """The signal in the plant's unit, from one number for each channel, at a time (s).
+
+        It is nan if a formula has no result.
+        """
+        if self.computing is None:
+            return self.source.value(numbers, self.changes)
+        arguments = dict(zip(self.source.names, numbers, strict=True))
+        return self.source.value([self.computing.value(arguments, seconds)], self.changes)
+
+    def values(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
+        """The same for many times, shapes (N,)."""
+        if self.computing is None:
+            return self.source.value(numbers, self.changes)
+        return self.source.value([self.source.computed(numbers, seconds)], self.changes)
 
 
 def _in_unit(text: str, written: WrittenNumber, unit: str) -> float:
@@ -274,7 +303,7 @@ def parse_source(place: str, text: str) -> SignalSource:
     if not column:
         raise RecordingError(f"{place}: {_FORM}")
     entry: dict[str, Any] = {"column": column}
-    for setting in settings:
+    for setting in filter(None, settings):
         name, _, value = (part.strip() for part in setting.partition("="))
         _add_setting(entry, name, value)
     return source_of(place, entry)
@@ -328,6 +357,9 @@ def source_of(place: str, entry: Any) -> SignalSource:
         return parse_source(place, entry)
     if isinstance(entry, str | list):
         entry = {"column": entry}
+    if isinstance(entry, dict) and isinstance(column := entry.get("column"), str) and _has_settings(column):
+        settings = {name: value for name, value in entry.items() if name != "column"}
+        return replace(parse_source(place, column), **settings)
     source = decoded(entry, _Source, place, RecordingError)
     columns = source.column or source.columns
     columns = [columns] if isinstance(columns, str) else columns
@@ -337,7 +369,35 @@ def source_of(place: str, entry: Any) -> SignalSource:
         raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
     missing = source.missing if isinstance(source.missing, list) else [source.missing]
     words = {word.lower(): number for word, number in source.words.items()}
-    return SignalSource(tuple(columns), source.unit, source.scale, source.offset, tuple(missing), words)
+    made = SignalSource(tuple(columns), source.unit, source.scale, source.offset, tuple(missing), words)
+    return _with_formula(place, made, source.names) if source.names else made
+
+
+def _has_settings(column: str) -> bool:
+    """Whether settings, words or names follow a column, as where a map was written to a file."""
+    _, *settings = split_unquoted(column, ";")
+    return any("=" in setting for setting in settings)
+
+
+def _with_formula(place: str, source: SignalSource, names: Mapping[str, str]) -> SignalSource:
+    """The source with its text as a formula over these names.
+
+    Raises:
+        RecordingError: it is not a formula, or has other names.
+    """
+    try:
+        formula = formula_of(source.places[0])
+    except SamplingError as error:
+        raise RecordingError(f"{place}: {error}") from None
+    missing = [name for name in formula.names if name not in names]
+    unused = [name for name in names if name not in formula.names]
+    if missing:
+        raise RecordingError(
+            f"{place}: {missing[0]} in {formula.text!r} is not named; write '; {missing[0]}=PLACE' behind it"
+        )
+    if unused:
+        raise RecordingError(f"{place}: {formula.text!r} has no {unused[0]}; use the name, or leave it out")
+    return replace(source, places=tuple(names.values()), formula=formula.text, names=tuple(names))
 
 
 def _plain_number(text: str) -> Any:
