@@ -148,3 +148,13 @@ def test_a_pace_that_cannot_be_kept_is_a_trouble_after_a_few_messages() -> None:
         spoken.say(float(number))
         spoken.inputs(1.0)
     assert "input arrives every 1" in spoken.listener.sampler.troubles["pace"]
+
+
+def test_a_word_whose_number_the_drive_cannot_have_leads_to_the_map() -> None:
+    spoken = Spoken(paced_by="timer", entry="/state:data; scale=80")
+    spoken.say("cooling")
+    assert spoken.inputs(9.0) == [-80.0] * 2  # the Peltier element cools, too
+    spoken = Spoken(paced_by="timer", entry="/state:data; scale=800")
+    spoken.say("cooling")
+    assert spoken.inputs(9.0) == []
+    assert "if 'cooling' means 1, append '; cooling=1'" in spoken.listener.trouble("input")

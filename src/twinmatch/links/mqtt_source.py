@@ -11,7 +11,7 @@ from paho.mqtt.client import Client, MQTTMessage, topic_matches_sub
 
 from twinmatch.links.mqtt_client import Broker, leave, topic_of
 from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError
-from twinmatch.sampling.document_paths import by_name
+from twinmatch.sampling.document_paths import by_name, steps_of
 from twinmatch.sampling.heard import Heard
 from twinmatch.sampling.listener import Receive
 from twinmatch.sampling.payloads import (
@@ -159,7 +159,7 @@ class MqttSource:
         named = by_name(document, channel.path)
         if channel not in self._named:
             self._named[channel] = named
-            if named != channel.path:
+            if steps_of(named) != steps_of(channel.path):
                 place = place_text(channel._replace(path=named))
                 self._news.append(f"{channel.text} is chosen by its place in a list; safer by name: {place}")
         elif named != self._named[channel]:

@@ -141,6 +141,8 @@ class SignalListener:
         """Why messages are left out, by signal."""
         self.refusals = {name: Refusals() for name in sources}
         """Values that were not numbers, by signal."""
+        self._words: dict[str, str] = {}
+        """The newest text of each signal that sends texts."""
         self._sources = sources
         self._now = now
         self._wait = wait
@@ -257,6 +259,8 @@ class SignalListener:
             numbers = {}
             for place, channel in enumerate(source.channels):
                 value = read(channel) if channel.topic == topic else None
+                if isinstance(value, str):
+                    self._words[name] = value
                 if value is not None:
                     numbers[place] = self._finite(name, source.number(value))
         except UnreadableError as error:
@@ -307,6 +311,8 @@ class SignalListener:
             topics = [channel.topic for channel in self.channels[name]]
             if why := next(filter(None, map(self._source.trouble, topics)), ""):
                 return f"{trouble} {self._units[name]}: no samples; {why}"
+            if (word := self._words.get(name, "")).isalpha():
+                return f"{trouble} {self._units[name]}: no samples; if {word!r} means 1, append '; {word}=1'"
             return (
                 f"{trouble} {self._units[name]}: no samples; if {text} has another unit, append '; unit=' to "
                 "its map entry"
