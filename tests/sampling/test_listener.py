@@ -103,7 +103,7 @@ class Spoken:
         return values
 
 
-def test_a_value_ends_when_something_newer_cannot_be_read_and_that_is_told_with_its_text() -> None:
+def test_a_value_ends_when_something_newer_cannot_be_read_and_its_text_is_reported() -> None:
     spoken = Spoken(paced_by="timer", entry="/state:data; scale=80")
     spoken.say("heat")
     assert spoken.inputs(12.0) == [80.0] * 3
@@ -114,13 +114,13 @@ def test_a_value_ends_when_something_newer_cannot_be_read_and_that_is_told_with_
     assert "input: /state:data: 'blah' is not a number" in line
     assert "'blah'" in spoken.listener.trouble("input")
     assert spoken.listener.refusals["input"].count == 2
-    assert spoken.listener.news() == []  # each reason is told once
+    assert spoken.listener.news() == []  # each reason comes one time
     spoken.say("idle")
     assert set(spoken.inputs(12.0)) == {0.0}
     assert not spoken.listener.trouble("input")
 
 
-def test_a_number_that_is_none_ends_what_would_hold_for_ever_and_leaves_ages_to_the_rest() -> None:
+def test_nan_ends_what_would_hold_for_ever_and_leaves_ages_to_the_rest() -> None:
     for max_age, inputs in ((0.0, []), (9.0, [50.0])):
         spoken = Spoken(paced_by="timer", max_age=max_age)
         spoken.say(50.0)

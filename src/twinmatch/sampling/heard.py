@@ -1,4 +1,4 @@
-"""What was heard on topics of MQTT, as a list of places for a map."""
+"""What was received on topics of MQTT, as a list of places for a map."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Heard:
     """The newest value at each place; messages may have only a part of the places of their topic."""
 
     def __init__(self) -> None:
-        """Nothing was heard yet."""
+        """Start without messages."""
         self._values: dict[str, dict[str, float | str]] = {}
         self._refused: dict[str, str] = {}
 

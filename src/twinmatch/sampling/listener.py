@@ -30,7 +30,7 @@ Read = Callable[[Channel], float | str | None]
 Raises an UnreadableError if what is there is not a value, and a SamplingError if it cannot be meant.
 """
 _MOST_REFUSALS: Final = 20
-"""Most different refusals that are kept to be told; the others are only counted."""
+"""Most different refusals that are reported; the others are only counted."""
 
 
 @dataclass
@@ -40,17 +40,17 @@ class Refusals:
     count: int = 0
     now: str = ""
     """Why the newest value was refused; empty: it was not."""
-    untold: list[str] = field(default_factory=list)
-    """Reasons that nobody has been told yet."""
-    told: set[str] = field(default_factory=set)
+    unreported: list[str] = field(default_factory=list)
+    """Reasons that were not reported yet."""
+    reported: set[str] = field(default_factory=set)
 
     def add(self, reason: str) -> None:
         """Take one more."""
         self.count += 1
         self.now = reason
-        if reason not in self.told and len(self.told) < _MOST_REFUSALS:
-            self.told.add(reason)
-            self.untold.append(reason)
+        if reason not in self.reported and len(self.reported) < _MOST_REFUSALS:
+            self.reported.add(reason)
+            self.unreported.append(reason)
 
 
 class Receive(Protocol):
@@ -231,11 +231,11 @@ class SignalListener:
         self.sampler.tick(self._now())
 
     def news(self) -> list[str]:
-        """What has to be told at once, each thing one time: refused values, and what the source noticed."""
+        """What to report at once, each thing one time: refused values, and what the source noticed."""
         lines = []
         for name, refusals in self.refusals.items():
-            lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.untold]
-            refusals.untold.clear()
+            lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.unreported]
+            refusals.unreported.clear()
         return lines + self._source.news()
 
     def close(self) -> bool:
