@@ -74,6 +74,21 @@ def test_a_rate_is_that_per_second_of_the_column_of_times(tmp_path: Path) -> Non
     assert [s.input for s in mapped(path, "input=rate(w); w=W").samples] == [10.0] * 4
 
 
+def test_units_and_words_in_cells_are_those_of_devices(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,T,u\n0,68 °F,idle\n1,69.8 °F,heating\n2,71.6 °F,heat\n")
+    samples = mapped(path, "output=T", "input=u; scale=50").samples
+    assert [sample.output for sample in samples] == pytest.approx([20.0, 21.0, 22.0])
+    assert [sample.input for sample in samples] == [0.0, 50.0, 50.0]
+
+
+def test_two_units_in_a_column_stay_texts_and_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,T,active\n0,68 °F,0\n1,21 °C,1\n2,22 °C,1\n")
+    with pytest.raises(RecordingError, match="line 2: 'T' is '68 °F', which is not a number"):
+        mapped(path, "output=T")
+
+
 @pytest.mark.parametrize(
     ("entry", "words"),
     [

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.sampling.channels import SamplingError, parse_channel
-from twinmatch.sampling.formulas import Computing, Formula
+from twinmatch.sampling.formulas import Computing, MapFormula
 from twinmatch.sampling.sources import parse_source
 from twinmatch.sessions.files import RecordingError
 
@@ -20,7 +20,7 @@ FINITE = st.floats(-50.0, 50.0)
 def at(text: str, **arguments: float) -> float:
     """A formula's value for single arguments."""
     series = {name: np.array([value]) for name, value in arguments.items()}
-    return float(Formula(text).values(series, np.zeros(1))[0])
+    return float(MapFormula(text).values(series, np.zeros(1))[0])
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_arithmetic_of_a_map(text: str, arguments: dict[str, float], value: floa
 
 @given(st.lists(st.tuples(FINITE, FINITE), min_size=1, max_size=20))
 def test_many_moments_are_computed_as_one_after_the_other(rows: list[tuple[float, float]]) -> None:
-    formula = Formula("rate(a) + (b if b > 0 else -b)")
+    formula = MapFormula("rate(a) + (b if b > 0 else -b)")
     seconds = np.arange(len(rows), dtype=float)
     columns = {"a": np.array([a for a, _ in rows]), "b": np.array([b for _, b in rows])}
     computing = Computing(formula)
@@ -52,14 +52,14 @@ def test_many_moments_are_computed_as_one_after_the_other(rows: list[tuple[float
 
 
 def test_a_rate_is_that_of_a_counter() -> None:
-    values = Formula("rate(c) * 3600").values(
+    values = MapFormula("rate(c) * 3600").values(
         {"c": np.array([10.0, 12.0, 12.0, 1.0, 2.0])}, np.array([0.0, 3600.0, 7200.0, 10800.0, 12600.0])
     )
     np.testing.assert_allclose(values, [math.nan, 2.0, 0.0, math.nan, 2.0])
 
 
 def test_a_message_that_is_sent_again_at_once_has_the_rate_of_the_first() -> None:
-    computing = Computing(Formula("rate(c)"))
+    computing = Computing(MapFormula("rate(c)"))
     times = (0.0, 0.002, 10.0, 10.002, 20.0)
     rates = [
         computing.value({"c": count}, seconds) for count, seconds in zip((1, 1, 6, 6, 8), times, strict=True)
@@ -77,10 +77,10 @@ def test_a_message_that_is_sent_again_at_once_has_the_rate_of_the_first() -> Non
 )  # fmt: skip
 def test_what_is_not_arithmetic_is_refused_in_one_message(text: str) -> None:
     if text.startswith("-"):
-        assert Formula(text).names == ("a",)  # deep, and harmless
+        assert MapFormula(text).names == ("a",)  # deep, and harmless
         return
     with pytest.raises(SamplingError) as caught:
-        Formula(text)
+        MapFormula(text)
     assert "\n" not in str(caught.value)
 
 

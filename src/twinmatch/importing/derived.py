@@ -5,6 +5,7 @@ They become columns of numbers, so that all that reads a table needs to know not
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
@@ -41,9 +42,47 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
             for place in source.separate:
                 title = table.find(place)
                 numbers = _numbers(table, title, source)
-                texts = {other: cells for other, cells in derived.texts.items() if other != title}
-                derived = replace(derived, columns={**derived.columns, title: numbers}, texts=texts)
+                derived = _with_numbers(derived, title, numbers)
+        else:
+            for title in _titles(table, source):
+                derived, sources[signal] = _with_texts_read(derived, title, sources[signal])
     return derived, replace(signal_map, sources=sources)
+
+
+def _with_numbers(table: Table, title: str, numbers: FloatArray) -> Table:
+    """The table with these numbers in a column, and no texts."""
+    texts = {other: cells for other, cells in table.texts.items() if other != title}
+    return replace(table, columns={**table.columns, title: numbers}, texts=texts)
+
+
+def _titles(table: Table, source: SignalSource) -> list[str]:
+    """The titles of a source's columns that have texts; those that are not there are reported later."""
+    titles = []
+    for place in source.separate:
+        with suppress(RecordingError):
+            title = table.find(place)
+            if table.texts.get(title):
+                titles.append(title)
+    return titles
+
+
+def _with_texts_read(table: Table, title: str, source: SignalSource) -> tuple[Table, SignalSource]:
+    """The table with texts such as `17.99 °C` or `heating` as numbers, and the source with their unit.
+
+    Both are as before if a text is not a number, as the date and time of day.
+    """
+    numbers = np.array(table.columns[title], dtype=float)
+    units = set()
+    for row, text in table.texts[title].items():
+        try:
+            written = written_number(text)
+        except UnreadableError:
+            return table, source
+        numbers[row] = written.value
+        units.add(written.unit)
+    if len(units) > 1 or (units != {""} and np.isfinite(table.columns[title]).any()):
+        return table, source
+    return _with_numbers(table, title, numbers), replace(source, unit=source.unit or units.pop())
 
 
 def _title(source: SignalSource) -> str:

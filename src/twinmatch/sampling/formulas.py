@@ -48,7 +48,7 @@ _FORM: Final = (
 )
 
 
-class Formula:
+class MapFormula:
     """A formula that was read."""
 
     def __init__(self, text: str) -> None:
@@ -189,13 +189,13 @@ def _rate(values: FloatArray, seconds: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def formula_of(text: str) -> Formula:
+def formula_of(text: str) -> MapFormula:
     """A formula, read once.
 
     Raises:
         SamplingError: it is not one.
     """
-    return Formula(text)
+    return MapFormula(text)
 
 
 class _Moment(NamedTuple):
@@ -214,7 +214,7 @@ class Computing:
     _FIRST_AT_ONCE: Final = 0.05
     """The same before there is an interval, s."""
 
-    def __init__(self, formula: Formula) -> None:
+    def __init__(self, formula: MapFormula) -> None:
         """Begin before the first message."""
         self._formula = formula
         self._before: _Moment | None = None

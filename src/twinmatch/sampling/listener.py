@@ -34,7 +34,7 @@ _MOST_REFUSALS: Final = 20
 
 
 @dataclass
-class Refusals:
+class RefusedValues:
     """Values of a signal that were not numbers."""
 
     count: int = 0
@@ -139,7 +139,7 @@ class SignalListener:
         """That the newest stamp was ahead of this machine's clock; empty: it was not."""
         self.misnamed: dict[str, str] = {}
         """Why messages are left out, by signal."""
-        self.refusals = {name: Refusals() for name in sources}
+        self.refusals = {name: RefusedValues() for name in sources}
         """Values that were not numbers, by signal."""
         self._words: dict[str, str] = {}
         """The newest text of each signal that sends texts."""
