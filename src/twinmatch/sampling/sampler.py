@@ -95,6 +95,8 @@ class Rate:
     _INTERVALS: Final = 100
     _REGULAR: Final = 0.5
     """Relative deviation from the median up to which an interval is regular: neither gap nor burst."""
+    _DEVIATIONS: Final = 4.0
+    """Standard deviations of the mean that are not significant: few intervals may hide how uneven all are."""
     _TOLERATED: Final = 0.01
     """Tolerated relative error of the period: a twin's time constants are off by as much."""
 
@@ -120,7 +122,7 @@ class Rate:
         if regular.size < self._FEWEST:
             return False
         # The lateness of single ticks cancels in the mean, except for the first and the last.
-        unsure = 2.0 * float(regular.std()) / regular.size
+        unsure = self._DEVIATIONS * float(regular.std()) / regular.size
         return bool(abs(regular.mean() - period) > self._TOLERATED * period + unsure)
 
     def _regular(self) -> np.ndarray:
