@@ -94,6 +94,7 @@ def test_two_units_in_a_column_stay_texts_and_are_refused(tmp_path: Path) -> Non
     [
         ("input=u * m; u=duty; m=mode; H=1", "line 3: 'C' is not a number"),
         ("input=u * m; u=duty; m=wibble", "wibble"),
+        ("input=duty; per=2", "no cell of duty is 'per'"),
     ],
 )
 def test_what_cannot_be_computed_is_one_message(path: Path, entry: str, words: str) -> None:

@@ -158,3 +158,11 @@ def test_a_word_whose_number_the_drive_cannot_have_leads_to_the_map() -> None:
     spoken.say("cooling")
     assert spoken.inputs(9.0) == []
     assert "if 'cooling' means 1, append '; cooling=1'" in spoken.listener.trouble("input")
+
+
+def test_a_word_beside_numbers_is_reported_since_it_may_be_a_setting() -> None:
+    spoken = Spoken(paced_by="timer", entry="/state:data; per=2")
+    spoken.say(20.0)
+    spoken.say(20.0)
+    [line] = spoken.listener.news()
+    assert line.startswith("input comes as numbers, so that per of its map is not used")

@@ -39,6 +39,7 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
             derived = replace(derived, columns=columns)
             sources[signal] = SignalSource((title,), source.unit, source.scale, source.offset)
         elif source.words or source.missing:
+            _require_words(table, source)
             for place in source.separate:
                 title = table.find(place)
                 numbers = _numbers(table, title, source)
@@ -47,6 +48,23 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
             for title in _titles(table, source):
                 derived, sources[signal] = _with_texts_read(derived, title, sources[signal])
     return derived, replace(signal_map, sources=sources)
+
+
+def _require_words(table: Table, source: SignalSource) -> None:
+    """Refuse words that no cell has: they are misspelt, or meant as settings.
+
+    Raises:
+        RecordingError: a word is in none of the source's columns.
+    """
+    cells: set[str] = set()
+    for place in source.separate:
+        cells.update(text.strip().lower() for text in table.texts.get(table.find(place), {}).values())
+    for word in source.words:
+        if word not in cells:
+            raise RecordingError(
+                f"{table.path}: no cell of {', '.join(source.places)} is {word!r}; correct the word of its "
+                "map, or write one of the settings unit, scale, offset, missing"
+            )
 
 
 def _with_numbers(table: Table, title: str, numbers: FloatArray) -> Table:

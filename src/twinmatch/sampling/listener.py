@@ -142,7 +142,8 @@ class SignalListener:
         self.refusals = {name: RefusedValues() for name in sources}
         """Values that were not numbers, by signal."""
         self._words: dict[str, str] = {}
-        """The newest text of each signal that sends texts."""
+        """The newest text of each signal that sends texts; empty where words are known not to be used."""
+        self._notices: list[str] = []
         self._sources = sources
         self._now = now
         self._wait = wait
@@ -236,6 +237,8 @@ class SignalListener:
         for name, refusals in self.refusals.items():
             lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.unreported]
             refusals.unreported.clear()
+        lines += self._notices
+        self._notices.clear()
         return lines + self._source.news()
 
     def close(self) -> bool:
@@ -261,6 +264,8 @@ class SignalListener:
                 value = read(channel) if channel.topic == topic else None
                 if isinstance(value, str):
                     self._words[name] = value
+                elif value is not None:
+                    self._notice_unused_words(name, source)
                 if value is not None:
                     numbers[place] = self._finite(name, source.number(value))
         except UnreadableError as error:
@@ -272,6 +277,16 @@ class SignalListener:
             self.misnamed[name] = f"{error}; other messages are left out"
             return {}
         return numbers
+
+    def _notice_unused_words(self, name: str, source: FollowedSignal) -> None:
+        """Notice once that values are numbers though their map has words, which may be misspelt settings."""
+        if source.source.words and not source.source.formula and name not in self._words:
+            self._words[name] = ""
+            words = ", ".join(source.source.words)
+            self._notices.append(
+                f"{name} comes as numbers, so that {words} of its map is not used; the settings of numbers "
+                "are unit, scale, offset and missing"
+            )
 
     def _finite(self, name: str, number: float) -> float:
         """The number as it is; one that is not finite ends a value that would otherwise hold for ever.

@@ -388,15 +388,22 @@ def _with_formula(place: str, source: SignalSource, names: Mapping[str, str]) ->
     try:
         formula = formula_of(source.places[0])
     except SamplingError as error:
-        raise RecordingError(f"{place}: {error}") from None
+        first = next(iter(names))
+        raise RecordingError(
+            f"{place}: {first}: is not a known key; there are {', '.join(_SETTINGS)}; if it is a name in a "
+            f"formula: {error}"
+        ) from None
     missing = [name for name in formula.names if name not in names]
     unused = [name for name in names if name not in formula.names]
+    if unused:
+        raise RecordingError(
+            f"{place}: {unused[0]}: is not a known key; there are {', '.join(_SETTINGS)}, words with their "
+            f"numbers, and the names of a formula, but {formula.text!r} has no {unused[0]}"
+        )
     if missing:
         raise RecordingError(
             f"{place}: {missing[0]} in {formula.text!r} is not named; write '; {missing[0]}=PLACE' behind it"
         )
-    if unused:
-        raise RecordingError(f"{place}: {formula.text!r} has no {unused[0]}; use the name, or leave it out")
     return replace(source, places=tuple(names.values()), formula=formula.text, names=tuple(names))
 
 
