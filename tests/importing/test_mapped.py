@@ -220,7 +220,7 @@ def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[P
         (["time=t", "output=T1; unit=V", *MAP[2:]], "'T1' is in V, but the plant's output in °C"),
         (["time=t", "output=T1; scale=much", *MAP[2:]], "scale: is 'much'; give a number"),
         (["time=t", "output=T1; scale=0", *MAP[2:]], "scale is 0"),
-        (["time=t", "output=T1; per=2", *MAP[2:]], "per: is not a known key; there are column, columns,"),
+        (["time=t", "output=T1; factor=2", *MAP[2:]], "factor: is not a known key; there are column,"),
         (["time=t", "output=T1; offset=273.15", *MAP[2:]], r"line 2: output is 293.15 °C \(and in 3 more\), "
          r"beyond the span of its output, -10 to 120; if the column is in K, write 'output=COLUMN; unit=K'"),
         (["time=t", "output=T1", "input=on; scale=255"], r"line 3: input is 255 % .*'input=COLUMN; scale="),

@@ -46,6 +46,8 @@ from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import SignalListener
 from twinmatch.sampling.registers import (
     LONGEST,
+    described,
+    doubt,
     joined,
     number_at,
     parse_place,
@@ -380,8 +382,9 @@ RIGHT = bytes((3, 4, 0, 1, 0, 2))
         (lambda r: framed(r, bytes((3, 4, 0, 1, 0, 2, 0))), "states 4 and has 5 bytes of values, not 4"),
         (lambda r: framed(r, bytes((3, 2, 0, 1))), "states 2 and has 2 bytes of values, not 4"),
         (lambda r: framed(r, bytes((3,))), "has 0 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((3, 0))), "0 bytes of values: the device has none there now"),
         (lambda r: framed(r, RIGHT, unit=2), "the answer is damaged, or belongs to another"),
-        (lambda r: framed(r, RIGHT, transaction=1), "the answer is damaged, or belongs to another"),
+        (lambda r: framed(r, RIGHT, transaction=1), "belongs to another request, number 2 instead of 1: "),
         (
             lambda r: framed(r, RIGHT, transaction=-1),
             "the answer is damaged, or belongs to another",
@@ -564,18 +567,102 @@ def numbers() -> st.SearchStrategy[tuple[str, float]]:
 @given(
     numbers(),
     st.sampled_from(["", "big", "little"]),
+    st.sampled_from(["", "swapped"]),
     st.sampled_from(["holding", "input"]),
     st.integers(0, 65532),
 )
 def test_registers_give_the_number_that_pymodbus_put_into_them(
-    typed: tuple[str, float], order: Any, table: str, address: int
+    typed: tuple[str, float], order: Any, swapped: str, table: str, address: int
 ) -> None:
     kind, number = typed
     words = to_registers(number, DATATYPE[kind.upper()], order or "big")
-    place = parse_place(f"{table}/{address}:{kind} {order}")
+    if swapped:
+        words = [int.from_bytes(word.to_bytes(2, "big"), "little") for word in words]
+    place = parse_place(f"{table}/{address}:{kind} {order} {swapped}")
     assert span_of(place) == (table, address, address + len(words))
     values = {(table, address + k): word for k, word in enumerate(words)}
     assert number_at(values, place) == float(number)
+
+
+@pytest.mark.parametrize("order", ["", " little", " swapped", " little swapped"])
+def test_an_absurd_real_number_proposes_the_order_in_which_it_is_a_reading(order: str) -> None:
+    words = to_registers(21.5, DATATYPE.FLOAT32, "little" if "little" in order else "big")
+    if "swapped" in order:
+        words = [int.from_bytes(word.to_bytes(2, "big"), "little") for word in words]
+    values = {("holding", k): word for k, word in enumerate(words)}
+    assert not doubt(values, Channel("holding/0", f"float32{order}"))
+    others = [
+        Channel("holding/0", f"float32{other}") for other in ("", " little", " swapped", " little swapped")
+    ]
+    doubts = list(filter(None, (doubt(values, other) for other in others)))
+    assert all(f"holding/0:float32{order} is 21.5" in text for text in doubts)
+    assert doubts or order in ("", " little")
+
+
+def test_a_listing_names_swapped_bytes_and_usual_marks() -> None:
+    swapped = [
+        int.from_bytes(word.to_bytes(2, "big"), "little") for word in to_registers(21.3, DATATYPE.FLOAT32)
+    ]
+    values = {("holding", k): word for k, word in enumerate([*swapped, 0x8000])}
+    first, _, third = described(values, ("holding", 0, 3))
+    assert first.endswith("  float32 swapped 21.3")
+    assert third.endswith("int16 -32768  (no sensor? then write '; missing=-32768')")
+
+
+class Limited:
+    """Answers over TCP with each register's address as its value, under a rule; it counts requests."""
+
+    def __init__(self, refusal: Callable[[int, int], int]) -> None:
+        """`refusal`: from the number of a request and its registers, the code of the refusal; 0: none."""
+        self.requests = 0
+        self._refusal = refusal
+
+    def __call__(self, request: bytes) -> bytes:
+        self.requests += 1
+        first = int.from_bytes(request[8:10], "big")
+        count = int.from_bytes(request[10:12], "big")
+        if code := self._refusal(self.requests, count):
+            return framed(request, bytes((request[7] | 0x80, code)))
+        words = b"".join(address.to_bytes(2, "big") for address in range(first, first + count))
+        return framed(request, bytes((request[7], len(words))) + words)
+
+
+def taken_from(server: AnsweringWrongly, *places: str) -> dict[str, float]:
+    """What a source gives for these places, in its first cycle."""
+    taken: dict[str, float] = {}
+    channels = [parse_place(place) for place in places]
+
+    def receive(topic: str, read: Any, *_: Any, **__: Any) -> None:
+        taken[topic] = read(next(channel for channel in channels if channel.topic == topic))
+
+    source = open_source(server.url, PERIOD, channels, receive)
+
+    def takes() -> bool:
+        source.poll()
+        return bool(taken)
+
+    try:
+        source.search(0.0)
+        wait_for(takes, "a cycle")
+    finally:
+        source.close()
+    return taken
+
+
+def test_a_device_that_is_busy_is_asked_again_within_the_period() -> None:
+    device = Limited(lambda number, _count: 6 * (number % 2))
+    server = AnsweringWrongly(device)
+    assert taken_from(server, "holding/20", "holding/21") == {"holding/20": 20.0, "holding/21": 21.0}
+    assert device.requests >= 8  # two places, one joined request and a cycle, each of them twice
+    server.close()
+
+
+def test_requests_are_split_where_a_device_gives_one_register_each() -> None:
+    server = AnsweringWrongly(Limited(lambda _number, count: 3 * (count > 1)))
+    assert taken_from(server, "holding/20", "holding/21") == {"holding/20": 20.0, "holding/21": 21.0}
+    with pytest.raises(ModbusError, match="gives one register per request, so that this number"):
+        taken_from(server, "holding/20:float32")
+    server.close()
 
 
 spans = st.builds(

@@ -21,6 +21,7 @@ from tests.support.oven import HOLD, PERIOD, oven_file
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
 from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.cli import main
 from twinmatch.links.mqtt_client import Broker, BrokerError
 from twinmatch.links.mqtt_source import listing, open_source, parse_place
 from twinmatch.links.sources import protocol_of
@@ -250,11 +251,12 @@ def test_thousands_of_malformed_messages_end_nothing(stepped: InStep) -> None:
         stepped.rig.publish("oven/room", payload, 0)
     wait_for(lambda: stepped.source.poll() or stepped.received - before >= 2_000, "the nonsense")
     assert stepped.listener.failed is None
-    assert "2000 messages on oven/room without a number" in stepped.source.trouble("oven/room")
+    assert stepped.listener.refusals["output"].count == 2_000
+    assert "no samples until there is a number" in stepped.listener.trouble("output")
     assert stepped.listener.samples() == []
     [sample] = stepped.tick(5, payloads_of(30.0, 21.0, 10.0))
     assert (sample.index, sample.output) == (5, 21.0)
-    assert not stepped.source.trouble("oven/room")
+    assert not stepped.listener.refusals["output"].now
 
 
 NOT_NUMBERS: tuple[Callable[[], str], ...] = (
@@ -320,13 +322,32 @@ def test_a_listing_shows_topics_with_their_numbers(broker: RunningBroker) -> Non
         ("garden/t", "3"),
     ):
         client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
-    lines = ["home/boiler:a.b  1", "home/boiler:c  2", "home/door  'open'", "home/room/t  21.5"]
+    lines = ["home/boiler:a.b  1", "home/boiler:c  2", "home/door  'open' = 1", "home/room/t  21.5"]
     assert list(listing(broker.url, "home")) == lines
     assert list(listing(broker.url, "")) == ["garden/t  3", *lines]
     assert list(listing(broker.url, "#")) == ["garden/t  3", *lines]
     assert list(listing(broker.url, "+/t")) == ["garden/t  3"]
     assert list(listing(broker.url, "home/+/t")) == ["home/room/t  21.5"]
     client.disconnect()
+
+
+@pytest.mark.parametrize("broker", KINDS[:1], indirect=True)
+def test_a_listing_shows_what_a_map_gives(broker: RunningBroker, capsys: pytest.CaptureFixture[str]) -> None:
+    client = Broker.parse(broker.url).connected(lambda _: None)
+    payload = '{"params": {"light:0": {"brightness": 60, "mode": "C"}}}'
+    client.publish("shelly/rpc", payload, 1, retain=True).wait_for_publish(30.0)
+    entries = [
+        "input=u * m; u=shelly/rpc:params.light:0.brightness; m=shelly/rpc:params.light:0.mode; "
+        "H=1; C=-1; unit=%",
+        "output=shelly/rpc:params.light:0.mode",
+    ]
+    assert main(["attach", "--source", broker.url, "--list", "shelly", "--map", *entries]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    client.disconnect()
+    assert lines[0] == "shelly/rpc:params[light:0].brightness  60"
+    assert lines[1].startswith("input = -60 %  (u * m; u=shelly/rpc:params.light:0.brightness")
+    assert lines[1].endswith("params.light:0.brightness is 60.0, shelly/rpc:params.light:0.mode is C)")
+    assert lines[2].startswith("output has no value  ('C' is not a number")
 
 
 @pytest.mark.parametrize("where", ["a/#/b", "a#", "+b/c", "a\0", "\udcff", "a" * 70_000])
@@ -339,6 +360,38 @@ def test_what_is_not_a_filter_is_one_message(where: str) -> None:
 def test_a_signal_from_a_filter_is_refused_in_words(place: str) -> None:
     with pytest.raises(SamplingError, match=r"is a filter for many topics, and a signal comes from one"):
         parse_place(place)
+
+
+@pytest.mark.parametrize("broker", KINDS[:1], indirect=True)
+def test_an_index_into_elements_with_names_is_warned_of_and_never_changes_its_meaning(
+    broker: RunningBroker, plant: Path
+) -> None:
+    places = {**PLACES, "output": "oven/tank:[0].v"}
+    stepped = InStep(broker, str(plant), PERIOD, places)
+    elements = [{"bn": "tank/", "n": "temp", "v": 20.0}, {"n": "duty", "v": 60.0}]
+    tick = {"oven/set_point": "30", "oven/heater": '{"duty cycle": 10}', "oven/tank": json.dumps(elements)}
+    [sample] = stepped.tick(0, dict(tick))
+    assert sample.output == 20.0
+    [warning] = stepped.listener.news()
+    assert warning.endswith("safer by name: oven/tank:[n=temp].v")
+    tick["oven/tank"] = json.dumps(elements[::-1])
+    assert stepped.tick(1, dict(tick)) == []
+    [reason] = stepped.listener.news()
+    assert "its place in the list has [n=duty].v now" in reason
+    stepped.close()
+
+
+@pytest.mark.parametrize("broker", KINDS[:1], indirect=True)
+def test_null_is_nothing_new_once_and_no_value_when_it_stays(broker: RunningBroker, plant: Path) -> None:
+    stepped = InStep(broker, str(plant), PERIOD, PLACES)
+    assert len(stepped.tick(0, payloads_of(30.0, 20.0, 10.0))) == 1
+    ticks = []
+    for number in range(1, 4):
+        tick = payloads_of(30.0, 20.0, 10.0) | {"oven/room": '{"t": {"now": null}}'}
+        ticks.append(len(stepped.tick(number, tick)))
+    assert ticks == [1, 1, 0]
+    assert "null in 3 messages in a row" in stepped.listener.trouble("output")
+    stepped.close()
 
 
 @pytest.fixture

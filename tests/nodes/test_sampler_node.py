@@ -350,7 +350,10 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
         {"paced_by": "timr"},
         "parameter paced_by is 'timr'; allowed: one of: reference, output, input, timer",
     ),
-    ({"input": "/oven/heater; gain=3"}, "gain: is not a known key; there are column, columns, offset"),
+    (
+        {"input": "/oven/heater; gain=3"},
+        "gain: is not a known key; there are column, columns, missing, names",
+    ),
     ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),
     ({"types": "'/oven/heater lab_msgs/msg/Drive'"}, "lab_msgs/msg/Drive is not installed here"),
 )

@@ -13,7 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.sampling.channels import Channel, SamplingError
-from twinmatch.sampling.payloads import document_of, number_at, numbers_in, parse_place, stamp_at
+from twinmatch.sampling.payloads import (
+    absence,
+    document_of,
+    numbers_in,
+    parse_place,
+    stamp_at,
+    value_at,
+)
+from twinmatch.sampling.written_numbers import written_number
 
 KEYS = st.text(st.characters(categories=["L", "Nd"], include_characters=" -_"), min_size=1).filter(
     lambda key: key == key.strip() and key[0].isascii() and key[0].isalpha()
@@ -24,6 +32,14 @@ DOCUMENTS = st.recursive(
     lambda inner: st.dictionaries(KEYS, inner, min_size=1) | st.lists(inner, min_size=1),
     max_leaves=8,
 )
+
+
+def number_at(document: Any, path: str) -> float:
+    """The number at a path, as a signal has it."""
+    value = value_at(document, path)
+    if value is None:
+        raise SamplingError(absence(document, path))
+    return written_number(value).value if isinstance(value, str) else value
 
 
 def leaves(document: Any) -> list[float]:
@@ -70,7 +86,7 @@ def test_what_home_automation_sends_is_a_number(payload: bytes, path: str, numbe
     [
         (b"unavailable", "", "'unavailable' is not a number"),
         (b"", "", "'' is not a number"),
-        (b"null", "", "'None' is not a number"),
+        (b"null", "", "its numbers: none, it is 'None'"),
         (b'{"a": 1, "b": 2}', "", "choose one: a, b"),
         (b'{"a": 1, "b": {"c": 2}}', "t", "no 't'; its numbers: a, b.c"),
         (b"21.5", "t", "no 't'; its numbers: none, it is '21.5'"),

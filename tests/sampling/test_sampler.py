@@ -490,6 +490,16 @@ def test_another_rate_is_reported_with_its_period(true: float, seed: int) -> Non
     assert abs(rate.period - true) < 0.01 * true
 
 
+def test_a_rate_is_not_doubted_because_a_device_is_busy_three_times_of_ten() -> None:
+    """Each time it is asked again a tenth of a period later."""
+    for seed in range(20):
+        late = 0.1 * (np.random.default_rng(seed).geometric(0.7, 60) - 1)
+        rate = Rate()
+        for number, lateness in enumerate(late):
+            rate.push(round((number + lateness) * SECOND))
+            assert not rate.differs_from(1.0), (seed, number)
+
+
 def test_gaps_and_bursts_do_not_count_for_the_rate() -> None:
     rate = rate_of(np.concatenate([np.arange(20), [24.5, 24.51], 25.0 + np.arange(20)]))
     assert not rate.differs_from(1.0)

@@ -27,7 +27,7 @@ def test_an_entry_gives_the_mean_of_its_places_scaled_and_converted(
 ) -> None:
     source = parse_source("here", f"/a:x, /b:x; unit=K; scale={scale!r}; offset={offset!r}")
     followed = source.follow("output", "°C", source.channels("output"), [KIND, KIND])
-    assert followed.value([first, second]) == pytest.approx(
+    assert followed.value([first, second], 0.0) == pytest.approx(
         scale * (first + second) / 2 + offset - 273.15, abs=1e-8
     )
 
@@ -36,11 +36,11 @@ def test_each_place_has_a_unit_of_its_own() -> None:
     source = SignalSource(("/a:temperature", "/b:fluid_pressure"))
     channels = source.channels("output")
     assert channels == (Channel("/a", "temperature"), Channel("/b", "fluid_pressure"))
-    assert source.follow("output", "K", channels[:1], [KIND]).value([20.0]) == pytest.approx(293.15)
+    assert source.follow("output", "K", channels[:1], [KIND]).value([20.0], 0.0) == pytest.approx(293.15)
     with pytest.raises(SamplingError, match=r"'/b:fluid_pressure' is in Pa \(according to .*FluidPressure\)"):
         source.follow("output", "K", channels, [KIND, PRESSURE])
     scaled = SignalSource(source.places, scale=2.0)  # a number that is scaled is in no stated unit
-    assert scaled.follow("output", "K", channels, [KIND, PRESSURE]).value([1.0, 2.0]) == 3.0
+    assert scaled.follow("output", "K", channels, [KIND, PRESSURE]).value([1.0, 2.0], 0.0) == 3.0
 
 
 def test_what_is_written_is_read_again() -> None:

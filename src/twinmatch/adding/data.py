@@ -25,6 +25,7 @@ from twinmatch.fitting.gate import Status
 from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.problem import LASTING
 from twinmatch.importing import open_any
+from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import read_table
@@ -88,6 +89,7 @@ def data_for(
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
         table = read_table(path, progress)
+        table, signal_map = with_derived(table, signal_map)
         full_map = with_plant_names(table, plant, signal_map)
         full_map = full_map if TIME in full_map.sources else full_map.joined(SignalMap(period=period))
         imported = map_samples(table, full_map, plant)

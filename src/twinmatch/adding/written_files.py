@@ -139,6 +139,8 @@ def _source(source: SignalSource) -> str:
         "unit": (source.unit, ""),
         "scale": (source.scale, 1.0),
         "offset": (source.offset, 0.0),
+        "missing": (list(source.missing), []),
+        "words": (dict(source.words), {}),
     }
     entry |= {name: value for name, (value, usual) in optional_entries.items() if value != usual}
     return _quote(entry if len(entry) > 1 else columns)

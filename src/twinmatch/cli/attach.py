@@ -12,6 +12,7 @@ from typing import Final
 from twinmatch.cli.shared import add_goal_options, add_options, column_map, goal_of, session_to_record
 from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.processes import EXIT_NOT_RECORDED, add_page_options, check_page_options, page_of
+from twinmatch.links.preview import previewed
 from twinmatch.links.sources import protocol_of
 from twinmatch.nodes import require_ros
 from twinmatch.parameters.declared import Values, given_to, parameters_of, sections_of
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const="",
         metavar="WHERE",
         dest="listed",
-        help="show what the source has (a part: room, holding/0-50), and end",
+        help="show what the source has (a part: room, holding/0-50), and what --map gives, and end",
     )
     parser.add_argument(
         "--alone", action="store_true", help="in one process without ROS; so it is where ROS is not installed"
@@ -65,6 +66,8 @@ def run(options: argparse.Namespace) -> int:
             options.parser.error("--list shows a source: give --source URL; ros2 topic list shows topics")
         lines = protocol_of(options.source).listing(options.source, options.listed)
         print("\n".join(lines) or "nothing there")
+        if options.map or options.map_file:
+            print("\n".join(previewed(options.source, column_map(options))))
         return 0
     if not (options.source or options.config or options.alone):
         require_ros("attach", _INSTEAD)

@@ -13,6 +13,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.importing import read_recording
 from twinmatch.importing.bags import is_bag, open_bag
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
+from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.mapped_bags import map_bag
 from twinmatch.importing.tables import read_table
@@ -94,6 +95,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
         with Progress("reading") as progress:
             table = read_table(options.recording, progress.advance)
             progress.show(f"mapping {len(table.lines)} rows", 0, 0)
+        table, signal_map = with_derived(table, signal_map)
         imported = map_samples(table, with_plant_names(table, plant, signal_map), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in imported.sources.items())
     record = {"plant": plant.name, "source": options.recording.name, "map": columns}

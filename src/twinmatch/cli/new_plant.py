@@ -12,6 +12,7 @@ from twinmatch.adding.blank import blank, signal_said
 from twinmatch.cli.shared import Progress, add_options, positive, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
+from twinmatch.importing.derived import with_derived
 from twinmatch.importing.tables import read_table
 from twinmatch.offline.first_steps import course_from_file
 from twinmatch.plants import find_plant
@@ -95,7 +96,8 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
-    return propose(table, replace(signal_map, period=period))
+    table, signal_map = with_derived(table, replace(signal_map, period=period))
+    return propose(table, signal_map)
 
 
 def _blank(options: argparse.Namespace) -> Proposal:

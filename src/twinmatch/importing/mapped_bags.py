@@ -140,11 +140,14 @@ def _signals(
     for name, of_signal in recorded.items():
         channels = []
         for series, series_times in zip(of_signal, times[name], strict=True):
-            channel, losses[name] = rising_signal(path, name, series_times, series.values)
+            numbers = followed[name].source.without_missing(series.values)
+            channel, losses[name] = rising_signal(path, name, series_times, numbers)
             channels.append(channel)
         first, *further = channels
         values = [first.values, *(channel.interpolated(first.times) for channel in further)]
-        signals[name] = TimedSignal(first.times, followed[name].value(values))
+        computed = followed[name].values(values, first.times)
+        is_number = np.isfinite(computed)  # a rate has none at its first message
+        signals[name] = TimedSignal(first.times[is_number], computed[is_number])
     return signals, losses[loop.outputs[0]]
 
 

@@ -184,17 +184,35 @@ class Alone:
         """Show what keeps signals from giving samples, once each; and that ticks were missed."""
         listener = self._listener
         missed = self._listener.sampler.grid.missed
+        for line in listener.news():
+            self._view.say(line, "yellow")
         for name in listener.channels:
-            text = listener.trouble(name) if self._sampled or listener.late else ""
-            self._shown.trouble(name, text)
-            kind = kind_of(text)
-            if kind != self._troubles.get(name, ""):
-                self._view.say(text or f"{name}: there are values again", "red" if text else "green")
-            self._troubles[name] = kind
+            is_due = self._sampled or listener.late or listener.refusals[name].now
+            self._say_trouble(name, listener.trouble(name) if is_due else "")
+        self._say_trouble("pace", listener.sampler.troubles.get("pace", ""))
         if missed != self._missed:
             self._view.say(f"the loop paused: {missed} ticks were missed in all", "yellow")
             self._missed = missed
         self._shown.tell()
+
+    def _say_trouble(self, name: str, text: str) -> None:
+        """Show what is wrong with a signal or the pace, once; or that nothing is."""
+        self._shown.trouble(name, text)
+        kind = kind_of(text)
+        if kind != self._troubles.get(name, ""):
+            right = "the ticks are right again" if name == "pace" else f"{name}: there are values again"
+            self._view.say(text or right, "red" if text else "green")
+        self._troubles[name] = kind
+
+    def _say_left_out(self) -> None:
+        """Say how much was left out in all."""
+        for name, refusals in self._listener.refusals.items():
+            if refusals.count:
+                self._view.say(
+                    f"{name}: {refusals.count} values could not be read and are left out", "yellow"
+                )
+        if repeated := self._listener.sampler.repeated:
+            self._view.say(f"{repeated} messages were sent twice or more often at once, and count once")
 
     def _take_samples(self) -> None:
         for sample in self._listener.samples():
@@ -232,6 +250,7 @@ class Alone:
             time.sleep(self._listener.interval)
         self._view.close()
         self._view.say(f"ended: {self._sampled} samples, {self._tally.verdicts} verdicts")
+        self._say_left_out()
         if len(self._spool):
             spool = self._spool
             period = self._settings.period

@@ -38,7 +38,23 @@ _KEYS: Final = {
 }
 _USUAL: Final = {"baud": "9600", "parity": "N", "stop": "1", "unit": "1"}
 _FORM: Final = "write modbus://HOST:PORT/UNIT or modbus+rtu:///dev/ttyUSB0?baud=9600&parity=N&stop=1&unit=1"
-_ANSWERS: Final = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "device failure"}
+_BUSY: Final = 6
+_ANSWERS: Final = {
+    1: "illegal function",
+    2: "illegal address",
+    3: "illegal value",
+    4: "device failure",
+    5: "not ready yet",
+    _BUSY: "busy",
+    10: "the gateway has no way to the device",
+    11: "the device behind the gateway does not answer",
+}
+_BUSY_PAUSE: Final = 0.02
+"""Before a device that is busy is asked again, s."""
+_BUSY_SHARE: Final = 0.7
+"""Share of a period after which a busy device is not asked again within it."""
+_BUSY_START: Final = 3.0
+"""How long a busy device is asked again at the start, s."""
 _FUNCTIONS: Final = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 """Code of the function that reads a table."""
 _PATIENCE: Final = 1.0
@@ -53,6 +69,10 @@ class ModbusError(TwinmatchError):
 
 class RefusedReadError(ModbusError):
     """It answers that it cannot be read there."""
+
+
+class BusyError(ModbusError):
+    """It answers that it has no time now."""
 
 
 class _ReadAnswer(ModbusPDU):
@@ -110,6 +130,7 @@ class ModbusDevice:
             self._open = partial(socket.create_connection, (host, port), _PATIENCE)
         else:
             raise ModbusError(f"{self._text}: {', '.join(wrong) or 'this URL'} cannot be used; {_FORM}")
+        self._sent = b""
         self._received = b""
         for answer in _READ_ANSWERS:
             self._client.register(answer)
@@ -128,9 +149,12 @@ class ModbusDevice:
             )
         if answer.isError():
             text = f"{_ANSWERS.get(answer.exception_code, 'error')} ({answer.exception_code})"
-            raise RefusedReadError(f"{where}: the device answers: {text}")
+            refusal = BusyError if answer.exception_code == _BUSY else RefusedReadError
+            raise refusal(f"{where}: the device answers: {text}")
         try:
             return registers.values_in(answer.payload, span)
+        except registers.NoValuesError as error:
+            raise ModbusError(f"{self._text}: {error}") from None
         except SamplingError as error:
             self._leave()
             raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
@@ -155,7 +179,8 @@ class ModbusDevice:
             to_check = "the unit" if self._tcp else "unit, baud, parity and stop"
             received = ""
             if self._received:
-                received = f" (the answer is damaged, or belongs to another request: {self._quoted})"
+                numbers = self._numbers_differ
+                received = f" (the answer is damaged, or belongs to another request{numbers}: {self._quoted})"
             raise ModbusError(
                 f"{where}: no valid answer within {_PATIENCE:g} s{received}; check {to_check}"
             ) from error
@@ -165,8 +190,17 @@ class ModbusDevice:
         """The bytes since the last request, in hexadecimal."""
         return self._received[: self._QUOTED].hex(" ") + (" …" if len(self._received) > self._QUOTED else "")
 
+    @property
+    def _numbers_differ(self) -> str:
+        """That request and answer have different numbers, over TCP; empty if not."""
+        asked = int.from_bytes(self._sent[:2], "big")
+        answered = int.from_bytes(self._received[:2], "big")
+        return f", number {answered} instead of {asked}" if self._tcp and asked != answered else ""
+
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        if not sending:
+        if sending:
+            self._sent = data
+        else:
             self._received = data
         return data
 
@@ -178,12 +212,23 @@ class ModbusDevice:
         if self._tcp:
             self._client.close()
 
+    def patiently(self, span: Span, longest: float) -> Values:
+        """Read a span, again and again for `longest` s while the device is busy."""
+        until = time.monotonic() + longest
+        while True:
+            try:
+                return self.read(span)
+            except BusyError:
+                if time.monotonic() + _BUSY_PAUSE > until:
+                    raise
+            time.sleep(_BUSY_PAUSE)
+
     def surely(self, span: Span) -> Values:
         """Read a span in up to three attempts: opening a serial line may have restarted the device."""
         for _ in range(2):
             with suppress(ModbusError):
-                return self.read(span)
-        return self.read(span)
+                return self.patiently(span, _BUSY_START)
+        return self.patiently(span, _BUSY_START)
 
     def close(self) -> None:
         """Disconnect."""
@@ -203,6 +248,8 @@ class ModbusSource:
         self._receive = receive
         self._requests = registers.joined(map(registers.span_of, wanted))
         self._cycles: deque[tuple[int, Values]] = deque(maxlen=3)  # older ones would be stale
+        self._newest: dict[tuple[str, int], int] = {}
+        """The values of the newest cycle."""
         self._trouble = ""
         self._handed = 0.0
         self._thread = Background("modbus", self._run, 3 * _PATIENCE)
@@ -210,13 +257,44 @@ class ModbusSource:
     def search(self, waited: float) -> None:  # noqa: ARG002 — a device that is there answers at once
         """Read each place once, and start the thread; raise a ModbusError if one cannot be read."""
         if not self.kinds:
-            for span in (*map(registers.span_of, self._channels), *self._requests):
-                self._device.surely(span)
+            for channel in self._channels:
+                self._newest |= self._first(channel)
+            self._requests = [part for request in self._requests for part in self._accepted(request)]
             self.kinds = dict.fromkeys((channel.topic for channel in self._channels), "")
             self._thread.start()
 
+    def _first(self, channel: Channel) -> Values:
+        """The values of a place; raise a ModbusError if it cannot be read."""
+        table, first, end = registers.span_of(channel)
+        try:
+            return self._device.surely((table, first, end))
+        except RefusedReadError:
+            if end - first == 1:
+                raise
+            with suppress(RefusedReadError):
+                for address in range(first, end):
+                    self._device.surely((table, address, address + 1))
+                raise ModbusError(
+                    f"{channel.text}: the device gives one register per request, so that this number would "
+                    "be put together from several moments; map a place of one register"
+                ) from None
+            raise
+
+    def _accepted(self, request: Span) -> list[Span]:
+        """The requests by which a device gives what is in one: that, or one for each place in it."""
+        table, first, end = request
+        spans = {registers.span_of(channel) for channel in self._channels}
+        inside = sorted(span for span in spans if span[0] == table and first <= span[1] < end)
+        try:
+            self._device.surely(request)
+        except RefusedReadError:
+            if len(inside) < 2:
+                raise
+            return inside
+        return [request]
+
     def path(self, channel: Channel) -> str:
-        """Type and word order."""
+        """Type and order."""
         return channel.path
 
     def poll(self) -> None:
@@ -229,9 +307,15 @@ class ModbusSource:
             for topic in self.kinds:
                 self._receive(topic, partial(registers.number_at, values), stamp)
 
-    def trouble(self, topic: str) -> str:  # noqa: ARG002 — a cycle has all topics, or none
-        """Why the newest cycle was dropped."""
-        return self._trouble
+    def trouble(self, topic: str) -> str:
+        """Why the newest cycle was dropped, or the order in which a number would be a reading."""
+        newest = self._newest
+        doubts = [registers.doubt(newest, channel) for channel in self._channels if channel.topic == topic]
+        return self._trouble or next(filter(None, doubts), "")
+
+    def news(self) -> list[str]:
+        """Nothing: what is wrong is an error or a trouble."""
+        return []
 
     def close(self) -> bool:
         """End the thread, and disconnect."""
@@ -240,15 +324,21 @@ class ModbusSource:
     def _run(self) -> None:
         due = time.monotonic()
         while not self._thread.ending.wait(max(due - time.monotonic(), 0.0)):
+            pause = 0.0
             try:
                 values: dict[tuple[str, int], int] = {}
                 for span in self._requests:
-                    values |= self._device.read(span)
+                    left = due + _BUSY_SHARE * self._period - time.monotonic()
+                    values |= self._device.patiently(span, left)
+                self._newest = values
                 self._cycles.append((time.time_ns(), values))
                 self._trouble = ""
+            except BusyError as error:
+                self._trouble = str(error)
             except ModbusError as error:
                 self._trouble = str(error)
-            late = time.monotonic() - due + (_PATIENCE if self._trouble else 0.0)
+                pause = _PATIENCE
+            late = time.monotonic() - due + pause
             due += self._period * (1 + late // self._period)
 
 
@@ -275,7 +365,7 @@ def _readable(device: ModbusDevice, table: str, first: int, end: int) -> Values:
     """The values of a span that can be read, found by halving what is refused."""
     try:
         if end - first <= registers.LONGEST[table]:
-            return device.read((table, first, end))
+            return device.patiently((table, first, end), _BUSY_START)
     except RefusedReadError:
         if end - first == 1:
             return {}

@@ -10,15 +10,19 @@ from typing import Any, Final
 from paho.mqtt.client import Client, MQTTMessage, topic_matches_sub
 
 from twinmatch.links.mqtt_client import Broker, leave, topic_of
-from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError
+from twinmatch.sampling.document_paths import by_name, steps_of
+from twinmatch.sampling.heard import Heard
 from twinmatch.sampling.listener import Receive
 from twinmatch.sampling.payloads import (
+    absence,
     document_of,
-    number_at,
-    numbers_in,
+    has_null,
     parse_filter,
     parse_place,
+    place_text,
     stamp_at,
+    value_at,
 )
 
 __all__ = ["MqttSource", "listing", "open_source", "parse_place"]
@@ -32,6 +36,8 @@ _LISTENS: Final = 2.0
 class MqttSource:
     """Subscribes to the topics of some channels, again after each loss of the connection."""
 
+    _NULLS: Final = 3
+    """Messages in a row with null after which a value has ended; before, they have nothing new."""
     _WAITING: Final = 100_000
     """Most messages that wait; the oldest are dropped."""
 
@@ -49,6 +55,11 @@ class MqttSource:
         """Messages in a row of a topic without a number, and why the last had none."""
         self._unreadable = 0
         """Messages whose topic is not UTF-8."""
+        self._nulls: dict[Channel, int] = {}
+        """Messages in a row with null at a channel."""
+        self._named: dict[Channel, str] = {}
+        """The path of each channel by names, as the first message had them."""
+        self._news: list[str] = []
         self._client = broker.connected(self._subscribe, self._arrived.append)
 
     def search(self, waited: float) -> None:
@@ -70,6 +81,10 @@ class MqttSource:
                 continue
             try:
                 document = document_of(bytes(message.payload))
+            except UnreadableError as error:
+                self._receive(topic, self._unreadable_reader(error), retained=message.retain)
+                continue
+            try:
                 place = self._broker.more.get(_TIME)
                 stamp = stamp_at(document, place) if place else 0
             except SamplingError as error:
@@ -89,6 +104,12 @@ class MqttSource:
         without = f"{count} messages on {topic} without a number, the last: {why}" if count else ""
         return without or unreadable_words(self._unreadable)
 
+    def news(self) -> list[str]:
+        """Places that choose by an index what has a name."""
+        lines = self._news.copy()
+        self._news.clear()
+        return lines
+
     def close(self) -> bool:
         """Disconnect."""
         return leave(self._client)
@@ -97,17 +118,53 @@ class MqttSource:
         for topic in self.kinds:
             client.subscribe(topic, 1)
 
-    def _reader(self, topic: str, document: Any) -> Callable[[Channel], float | None]:
-        def read(channel: Channel) -> float | None:
-            try:
-                number = number_at(document, channel.path)
-            except SamplingError as error:
-                self._miss(topic, str(error))
+    def _reader(self, topic: str, document: Any) -> Callable[[Channel], float | str | None]:
+        def read(channel: Channel) -> float | str | None:
+            value = value_at(document, channel.path)
+            if value is None:
+                self._miss(topic, absence(document, channel.path))
+                self._count_null(channel, document)
                 return None
+            self._check_name(channel, document)
             self._amiss.pop(topic, None)
-            return number
+            self._nulls.pop(channel, None)
+            return value
 
         return read
+
+    def _unreadable_reader(self, error: UnreadableError) -> Callable[[Channel], float | str | None]:
+        def read(channel: Channel) -> float | str | None:  # noqa: ARG001 — it is so at each
+            raise UnreadableError(str(error))
+
+        return read
+
+    def _count_null(self, channel: Channel, document: Any) -> None:
+        """Count messages in a row that have null at a channel.
+
+        Raises:
+            UnreadableError: they are so many that null cannot mean "nothing new".
+        """
+        if not has_null(document, channel.path):
+            return
+        self._nulls[channel] = self._nulls.get(channel, 0) + 1
+        if self._nulls[channel] >= self._NULLS:
+            raise UnreadableError(f"null in {self._NULLS} messages in a row")
+
+    def _check_name(self, channel: Channel, document: Any) -> None:
+        """Notice that a channel chooses an element by its index although it has a name.
+
+        Raises:
+            UnreadableError: the element at the index has another name than before.
+        """
+        named = by_name(document, channel.path)
+        if channel not in self._named:
+            self._named[channel] = named
+            if steps_of(named) != steps_of(channel.path):
+                place = place_text(channel._replace(path=named))
+                self._news.append(f"{channel.text} is chosen by its place in a list; safer by name: {place}")
+        elif named != self._named[channel]:
+            place = place_text(channel._replace(path=self._named[channel]))
+            raise UnreadableError(f"its place in the list has {named} now; choose it by name: {place}")
 
     def _miss(self, topic: str, why: str) -> None:
         self._amiss[topic] = self._amiss.get(topic, (0, ""))[0] + 1, why
@@ -139,7 +196,7 @@ def listing(url: str, where: str) -> Iterator[str]:
         SamplingError: `where` is not a filter.
     """
     chosen = parse_filter(where)
-    heard: dict[str, bytes] = {}
+    heard = Heard()
     unreadable = 0
 
     def subscribe(client: Client) -> None:
@@ -151,20 +208,11 @@ def listing(url: str, where: str) -> Iterator[str]:
         if topic is None:
             unreadable += 1
         elif topic_matches_sub(chosen, topic):  # some brokers send what they have kept, whatever was asked
-            heard[topic] = bytes(message.payload)
+            heard.take(topic, bytes(message.payload))
 
     client = Broker.parse(url, (_TIME,)).connected(subscribe, hear)
     time.sleep(_LISTENS)
     leave(client)
     if unreadable:
         yield unreadable_words(unreadable)
-    for topic, payload in sorted(heard.items()):
-        try:
-            document = document_of(payload)
-        except SamplingError as error:
-            yield f"{topic}  ({error})"
-            continue
-        numbers = [(f"{topic}:{path}" if path else topic, value) for path, value in numbers_in(document)]
-        yield from (f"{place}  {value:g}" for place, value in numbers)
-        if not numbers:
-            yield f"{topic}  {str(document)[:40]!r}"
+    yield from heard.lines()

@@ -79,6 +79,7 @@ class SamplerNode(TwinmatchNode):
                 f"{name}: missing, late, out of range, not a number",
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
+            self.health.set(f"{name}: values that could not be read", listener.refusals[name].count)
             text = listener.trouble(name)
             if "lag behind" in text and not simulated:
                 text = f"{text}; if they are in simulated time, set use_sim_time"
@@ -91,6 +92,9 @@ class SamplerNode(TwinmatchNode):
         self.health.flag_if(bool(timeless), "clock", level, text)
         pace = sampler.troubles.get("pace", "")
         self.health.flag_if(bool(pace), "pace", level, pace)
+        for line in listener.news():
+            self.get_logger().warning(line)
+        self.health.set("messages sent again at once", sampler.repeated)
         self.health.set("missed ticks", sampler.grid.missed)
         self.health.set("ticks without sample", sampler.idle)
         self.health.set("tick late by", f"{sampler.grid.jitter / 1e6:.1f} ms")

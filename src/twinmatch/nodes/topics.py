@@ -246,6 +246,10 @@ class ForeignTopics:
             return ""
         return f"{topic} no longer has a publisher" if topic in self.kinds else f"no publisher on {topic}"
 
+    def news(self) -> list[str]:
+        """Nothing: what is wrong is an error or a trouble."""
+        return []
+
     def close(self) -> bool:
         """The node destroys its subscriptions."""
         return True

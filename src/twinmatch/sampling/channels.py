@@ -47,6 +47,10 @@ class SamplingError(TwinmatchError):
     """A field is missing, or the settings allow no sampling."""
 
 
+class UnreadableError(SamplingError):
+    """A message has something else where the number should be: the value before it has ended."""
+
+
 class Label(str):
     """The name of an element of a list."""
 

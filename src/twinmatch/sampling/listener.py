@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final, Protocol
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError
 from twinmatch.sampling.names import signals_of
 from twinmatch.sampling.sampler import Sampler
 from twinmatch.sampling.sources import FollowedSignal, SignalSource
@@ -22,11 +24,33 @@ _CHECKS: Final = 20
 _INTERVAL: Final = (0.002, 0.05)
 """Shortest and longest interval between two checks, s."""
 
-Read = Callable[[Channel], float | None]
-"""The number at a channel of one message; None if the message has nothing for it.
+Read = Callable[[Channel], float | str | None]
+"""The number or text at a channel of one message; None if the message has nothing for it.
 
-Raises a SamplingError if what is there cannot be meant.
+Raises an UnreadableError if what is there is not a value, and a SamplingError if it cannot be meant.
 """
+_MOST_REFUSALS: Final = 20
+"""Most different refusals that are reported; the others are only counted."""
+
+
+@dataclass
+class RefusedValues:
+    """Values of a signal that were not numbers."""
+
+    count: int = 0
+    now: str = ""
+    """Why the newest value was refused; empty: it was not."""
+    unreported: list[str] = field(default_factory=list)
+    """Reasons that were not reported yet."""
+    reported: set[str] = field(default_factory=set)
+
+    def add(self, reason: str) -> None:
+        """Take one more."""
+        self.count += 1
+        self.now = reason
+        if reason not in self.reported and len(self.reported) < _MOST_REFUSALS:
+            self.reported.add(reason)
+            self.unreported.append(reason)
 
 
 class Receive(Protocol):
@@ -68,6 +92,9 @@ class Source(Protocol):
 
     def trouble(self, topic: str) -> str:
         """Why no numbers come from a topic now; empty if nothing is known against it."""
+
+    def news(self) -> list[str]:
+        """What it has noticed since it was last asked, for the user to know; each thing one time."""
 
     def close(self) -> bool:
         """End it; nothing is handed on any longer. Returns whether its threads have ended."""
@@ -112,6 +139,11 @@ class SignalListener:
         """That the newest stamp was ahead of this machine's clock; empty: it was not."""
         self.misnamed: dict[str, str] = {}
         """Why messages are left out, by signal."""
+        self.refusals = {name: RefusedValues() for name in sources}
+        """Values that were not numbers, by signal."""
+        self._words: dict[str, str] = {}
+        """The newest text of each signal that sends texts; empty where words are known not to be used."""
+        self._notices: list[str] = []
         self._sources = sources
         self._now = now
         self._wait = wait
@@ -172,9 +204,13 @@ class SignalListener:
             fresh |= {place: (number, measured) for place, number in numbers.items()}
             if numbers:
                 self._heard[name] = time.monotonic()
+                self.refusals[name].now = ""
                 if len(fresh) == len(source.channels):
-                    value = source.value([number for number, _ in fresh.values()])
                     oldest = min(number_stamp for _, number_stamp in fresh.values())
+                    numbers_in_order = [fresh[place][0] for place in range(len(source.channels))]
+                    value = source.value(numbers_in_order, oldest / NANOSECONDS)
+                    if not math.isfinite(value) and not self.sampler.limits[name].max_age:
+                        self.sampler.end(name)
                     self.sampler.take(name, value, oldest, arrived, retained=retained)
                     fresh.clear()
 
@@ -195,12 +231,25 @@ class SignalListener:
         """A tick of the timer, where that paces the samples."""
         self.sampler.tick(self._now())
 
+    def news(self) -> list[str]:
+        """What to report at once, each thing one time: refused values, and what the source noticed."""
+        lines = []
+        for name, refusals in self.refusals.items():
+            lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.unreported]
+            refusals.unreported.clear()
+        lines += self._notices
+        self._notices.clear()
+        return lines + self._source.news()
+
     def close(self) -> bool:
         """End the source, if one was opened; returns whether its threads have ended."""
         return self._close()
 
     def trouble(self, name: str) -> str:
         """Why a signal gives no samples now; empty if it does."""
+        refused = self.refusals[name].now
+        if refused and not self._source.lost:
+            return f"{name}: {refused}; no samples until there is a number"
         return self._silence(name) or self._explained(name, self.sampler.troubles.get(name, ""))
 
     def _numbers(self, name: str, source: FollowedSignal, topic: str, read: Read) -> dict[int, float]:
@@ -212,14 +261,49 @@ class SignalListener:
         try:
             numbers = {}
             for place, channel in enumerate(source.channels):
-                if channel.topic == topic:
-                    numbers[place] = read(channel)
+                value = read(channel) if channel.topic == topic else None
+                if isinstance(value, str):
+                    self._words[name] = value
+                elif value is not None:
+                    self._notice_unused_words(name, source)
+                if value is not None:
+                    numbers[place] = self._finite(name, source.number(value))
+        except UnreadableError as error:
+            self._end(name, f"{self.channels[name][0].text}: {error}")
+            return {}
         except SamplingError as error:
             if not self._has_samples:
                 self.failed = SamplingError(f"{name}: {error}")
             self.misnamed[name] = f"{error}; other messages are left out"
             return {}
-        return {place: number for place, number in numbers.items() if number is not None}
+        return numbers
+
+    def _notice_unused_words(self, name: str, source: FollowedSignal) -> None:
+        """Notice once that values are numbers though their map has words, which may be misspelt settings."""
+        if source.source.words and not source.source.formula and name not in self._words:
+            self._words[name] = ""
+            words = ", ".join(source.source.words)
+            self._notices.append(
+                f"{name} comes as numbers, so that {words} of its map is not used; the settings of numbers "
+                "are unit, scale, offset and missing"
+            )
+
+    def _finite(self, name: str, number: float) -> float:
+        """The number as it is; one that is not finite ends a value that would otherwise hold for ever.
+
+        Raises:
+            UnreadableError: it does.
+        """
+        if not math.isfinite(number) and not self.sampler.limits[name].max_age:
+            raise UnreadableError(f"{number:g} is not a value")
+        return number
+
+    def _end(self, name: str, reason: str) -> None:
+        """End a signal's value: what has come instead cannot be read."""
+        self._heard[name] = time.monotonic()
+        self._fresh[name].clear()
+        self.sampler.end(name)
+        self.refusals[name].add(reason)
 
     def _silence(self, name: str) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
@@ -239,6 +323,11 @@ class SignalListener:
     def _explained(self, name: str, trouble: str) -> str:
         text = self.channels[name][0].text
         if "outside" in trouble:
+            topics = [channel.topic for channel in self.channels[name]]
+            if why := next(filter(None, map(self._source.trouble, topics)), ""):
+                return f"{trouble} {self._units[name]}: no samples; {why}"
+            if (word := self._words.get(name, "")).isalpha():
+                return f"{trouble} {self._units[name]}: no samples; if {word!r} means 1, append '; {word}=1'"
             return (
                 f"{trouble} {self._units[name]}: no samples; if {text} has another unit, append '; unit=' to "
                 "its map entry"

@@ -31,6 +31,9 @@ _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 LATEST_SETTLE: Final = 0.45
 """Largest settling time, in periods; later values would rather belong to the next tick."""
 
+_AT_ONCE: Final = 0.1
+"""Interval in which the same value counts once, in periods: some programs send a message repeatedly."""
+
 
 class Grid:
     """A grid of ticks one period apart, whose origin follows the ticks.
@@ -92,6 +95,8 @@ class Rate:
     _INTERVALS: Final = 100
     _REGULAR: Final = 0.5
     """Relative deviation from the median up to which an interval is regular: neither gap nor burst."""
+    _DEVIATIONS: Final = 4.0
+    """Standard deviations of the mean that are not significant: few intervals may hide how uneven all are."""
     _TOLERATED: Final = 0.01
     """Tolerated relative error of the period: a twin's time constants are off by as much."""
 
@@ -117,7 +122,7 @@ class Rate:
         if regular.size < self._FEWEST:
             return False
         # The lateness of single ticks cancels in the mean, except for the first and the last.
-        unsure = 2.0 * float(regular.std()) / regular.size
+        unsure = self._DEVIATIONS * float(regular.std()) / regular.size
         return bool(abs(regular.mean() - period) > self._TOLERATED * period + unsure)
 
     def _regular(self) -> np.ndarray:
@@ -204,6 +209,8 @@ class Sampler:
         """Reasons why the newest tick had no sample, by signal or `pace`; empty if it had one."""
         self.idle = 0
         """Ticks since sample 0 without a sample."""
+        self.repeated = 0
+        """Values of the pacing signal that were sent again at once; they are not ticks."""
         self.grid = Grid(round(period * NANOSECONDS))
         self.rate = Rate()
         self.limits = signals
@@ -218,6 +225,9 @@ class Sampler:
         self._loop = loop
         self._commanded = paced_by in loop.inputs
         self._ticks: deque[_Tick] = deque()
+        self._at_once = round(_AT_ONCE * self._step)
+        self._paced: tuple[float, int] | None = None
+        """The newest value of the pacing signal that was not sent again, and its time, ns."""
         self._within: set[str] = set()
         self._first: int | None = None
         self._references: Signals = ()
@@ -233,8 +243,12 @@ class Sampler:
     def take(self, name: str, value: float, stamp: int, now: int, *, retained: bool = False) -> None:
         """Take a value; one of the pacing signal triggers a tick, unless it was `retained` since earlier."""
         self._buffers[name].push(value, stamp)
-        if name == self._pacer and math.isfinite(value) and not retained:
+        if name == self._pacer and math.isfinite(value) and not retained and not self._repeats(value, stamp):
             self._push(_Tick(0, stamp, now + self._settle, value))
+
+    def end(self, name: str) -> None:
+        """End a signal's value: a newer one is known not to be a number."""
+        self._buffers[name].clear()
 
     def forget(self) -> None:
         """Forget values that become stale: what has come in the meantime is not known."""
@@ -263,6 +277,16 @@ class Sampler:
             elif self._first is not None:
                 self.idle += 1
         return samples
+
+    def _repeats(self, value: float, stamp: int) -> bool:
+        """Whether a value of the pacing signal is one that has come already, and is sent again at once."""
+        before = self._paced
+        is_repeated = before is not None and value == before[0] and 0 <= stamp - before[1] < self._at_once
+        if is_repeated:
+            self.repeated += 1
+        else:
+            self._paced = (value, stamp)
+        return is_repeated
 
     def _complete(self, tick: _Tick, now: int) -> bool:
         return bool(tick.values) and (self._commanded or now >= tick.ready + self._step)

@@ -24,14 +24,19 @@ also output.1, output.2, …, input.1, … and reference.1, ….
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
+import numpy as np
 
 from twinmatch.decoding import FiniteNumber, decoded
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, SamplingError, parse_channel, usual_unit
+from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError, parse_channel, usual_unit
+from twinmatch.sampling.formulas import Computing, formula_of
+from twinmatch.sampling.quoted import split_unquoted
+from twinmatch.sampling.written_numbers import WrittenNumber, written_number
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import Conversion, conversion, measure
@@ -56,23 +61,64 @@ class SignalSource:
     plant's."""
     scale: float = 1.0
     offset: float = 0.0
+    missing: tuple[float, ...] = ()
+    """Numbers that mean "no value", before scale and offset."""
+    words: Mapping[str, float] = field(default_factory=dict)
+    """Numbers of words, in small letters."""
+    formula: str = ""
+    """Arithmetic over `names`; empty: the mean of the places."""
+    names: tuple[str, ...] = ()
+    """What the formula calls each of the places; empty without a formula."""
 
     @property
     def text(self) -> str:
         """The source as written on a command line."""
-        parts = [", ".join(self.places)]
+        parts = [self.formula or ", ".join(self.places)]
+        if self.formula:
+            parts += [f"{name}={place}" for name, place in zip(self.names, self.places, strict=True)]
         if self.unit:
             parts.append(f"unit={self.unit}")
         if self.scale != 1:
             parts.append(f"scale={self.scale:g}")
         if self.offset != 0:
             parts.append(f"offset={self.offset:g}")
+        if self.missing:
+            parts.append(f"missing={' '.join(f'{number:g}' for number in self.missing)}")
+        parts += [f"{word}={number:g}" for word, number in self.words.items()]
         return "; ".join(parts)
 
     @property
     def separate(self) -> tuple[str, ...]:
         """The places, where commas separate them."""
-        return tuple(part for place in self.places for part in place.split(",") if part.strip())
+        if self.formula:
+            return self.places
+        return tuple(part for place in self.places for part in split_unquoted(place, ",") if part.strip())
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the signal is the number as it is, so that the unit of a place is that of the signal."""
+        return not self.formula and (self.scale, self.offset) == (1.0, 0.0)
+
+    def number(self, value: float | str, wanted: str) -> float:
+        """The number that a device's value means, in the unit that the map gives to the place.
+
+        Args:
+            value: a number, or a text such as `heating` or `20.6 °C`.
+            wanted: unit of the plant's signal, into which a unit in the text is converted.
+
+        Raises:
+            UnreadableError: it is not a number, or one that means "no value".
+        """
+        if isinstance(value, str):
+            written = written_number(value, self.words)
+            number = written.value
+            if written.unit and self.is_plain:
+                number = _in_unit(value, written, self.unit or wanted)
+        else:
+            number = value
+        if number in self.missing:
+            raise UnreadableError(f"{number:g} means that there is no value")
+        return number
 
     def channels(self, signal: str, parse: Callable[[str], Channel] = parse_channel) -> tuple[Channel, ...]:
         """The places as channels; `parse` reads one, by default of a topic of ROS.
@@ -84,6 +130,10 @@ class SignalSource:
             return tuple(map(parse, self.separate))
         except SamplingError as error:
             raise SamplingError(f"{signal}: {error}") from None
+
+    def without_missing(self, numbers: FloatArray) -> FloatArray:
+        """Numbers with nan for those that mean "no value", shape (N,)."""
+        return np.where(np.isin(numbers, self.missing), np.nan, numbers) if self.missing else numbers
 
     def change(self, signal: str, place: str, wanted: str, stated: str = "", why: str = "") -> Conversion:
         """Conversion of scale·number + offset to the unit that the plant's signal has.
@@ -112,12 +162,20 @@ class SignalSource:
             ) from None
 
     def value(self, numbers: Sequence[Number], changes: Sequence[Conversion]) -> Number:
-        """The signal in the plant's unit, from the number and the conversion of each place."""
+        """The signal in the plant's unit, from the number and the conversion of each place.
+
+        With a formula there is one number, its result.
+        """
         parts = [
             (self.scale * number + self.offset) * change.scale + change.offset
-            for number, change in zip(numbers, changes, strict=True)
+            for number, change in zip(numbers, changes, strict=not self.formula)
         ]
         return sum(parts[1:], parts[0]) / len(parts)
+
+    def computed(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
+        """The results of the formula, shape (N,), from the numbers of each place and their times (s)."""
+        arguments = dict(zip(self.names, numbers, strict=True))
+        return formula_of(self.formula).values(arguments, seconds)
 
     def follow(
         self, signal: str, wanted: str, channels: Sequence[Channel], kinds: Sequence[str]
@@ -136,10 +194,10 @@ class SignalSource:
         changes = []
         for channel, kind in zip(channels, kinds, strict=True):
             # A number that the map scales is not in the unit of its message type.
-            scaled = (self.scale, self.offset) != (1.0, 0.0)
-            stated = "" if scaled else usual_unit(kind, channel.path, wanted)
+            stated = usual_unit(kind, channel.path, wanted) if self.is_plain else ""
             changes.append(self.change(signal, channel.text, wanted, stated, f" (according to {kind})"))
-        return FollowedSignal(self, tuple(channels), tuple(changes))
+        computing = Computing(formula_of(self.formula)) if self.formula else None
+        return FollowedSignal(self, tuple(channels), tuple(changes), wanted, computing)
 
 
 class FollowedSignal(NamedTuple):
@@ -150,10 +208,52 @@ class FollowedSignal(NamedTuple):
     """With full paths."""
     changes: tuple[Conversion, ...]
     """To the plant's unit, by channel."""
+    unit: str
+    """Unit of the plant's signal."""
+    computing: Computing | None = None
+    """Of a formula; it remembers the message before."""
 
-    def value(self, numbers: Sequence[Number]) -> Number:
-        """The signal in the plant's unit, from one number for each channel."""
-        return self.source.value(numbers, self.changes)
+    def number(self, value: float | str) -> float:
+        """The number that a message's value means.
+
+        Raises:
+            UnreadableError: it is not a number, or one that means "no value".
+        """
+        return self.source.number(value, self.unit)
+
+    def value(self, numbers: Sequence[float], seconds: float) -> float:
+        """The signal in the plant's unit, from one number for each channel, at a time (s).
+
+        It is nan if a formula has no result.
+        """
+        if self.computing is None:
+            return self.source.value(numbers, self.changes)
+        arguments = dict(zip(self.source.names, numbers, strict=True))
+        return self.source.value([self.computing.value(arguments, seconds)], self.changes)
+
+    def values(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
+        """The same for many times, shapes (N,)."""
+        if self.computing is None:
+            return self.source.value(numbers, self.changes)
+        return self.source.value([self.source.computed(numbers, seconds)], self.changes)
+
+
+def _in_unit(text: str, written: WrittenNumber, unit: str) -> float:
+    """A number with a unit of its own, in another unit.
+
+    Raises:
+        UnreadableError: the units measure different things, or one is not known.
+    """
+    try:
+        change = conversion(written.unit, unit)
+    except TwinmatchError:
+        change = None
+    if change is None or not measure(written.unit).known:
+        where = unit or "plain numbers"
+        raise UnreadableError(
+            f"{text[:40]!r} is not in {where}; if its number is, write '; scale=…' or unit="
+        )
+    return written.value * change.scale + change.offset
 
 
 @dataclass(frozen=True)
@@ -199,14 +299,41 @@ def parse_source(place: str, text: str) -> SignalSource:
     Raises:
         RecordingError: the column is missing, or a setting is unknown.
     """
-    column, *settings = (part.strip() for part in text.split(";"))
+    column, *settings = (part.strip() for part in split_unquoted(text, ";"))
     if not column:
         raise RecordingError(f"{place}: {_FORM}")
     entry: dict[str, Any] = {"column": column}
-    for setting in settings:
+    for setting in filter(None, settings):
         name, _, value = (part.strip() for part in setting.partition("="))
-        entry[name] = value if name == "unit" else _plain_number(value)
+        _add_setting(entry, name, value)
     return source_of(place, entry)
+
+
+def _add_setting(entry: dict[str, Any], name: str, value: str) -> None:
+    """Add what stands behind a semicolon to an entry: a setting, a word's number, or a name of a formula.
+
+    What looks like a misspelt setting stays one, and is refused later.
+    """
+    number = _plain_number(value)
+    if name == "unit":
+        entry[name] = value
+    elif name == "missing":
+        entry[name] = [_plain_number(part) for part in value.replace(",", " ").split()]
+    elif name in _Source.__struct_fields__ or not name or not value or _is_misspelt(name):
+        entry[name] = number
+    elif isinstance(number, float):
+        entry.setdefault("words", {})[name] = number
+    else:
+        entry.setdefault("names", {})[name] = value
+
+
+def _is_misspelt(name: str) -> bool:
+    """Whether a name is near that of a setting, or another word for one."""
+    return name.lower() in _OTHER_WORDS or bool(get_close_matches(name.lower(), _SETTINGS, cutoff=0.7))
+
+
+_SETTINGS: Final = ("unit", "scale", "offset", "missing", "column")
+_OTHER_WORDS: Final = ("factor", "gain", "multiplier", "mult", "bias", "shift", "add", "type", "period")
 
 
 class _Source(msgspec.Struct, forbid_unknown_fields=True):
@@ -215,6 +342,9 @@ class _Source(msgspec.Struct, forbid_unknown_fields=True):
     unit: str = ""
     scale: FiniteNumber = 1.0
     offset: FiniteNumber = 0.0
+    missing: FiniteNumber | list[FiniteNumber] = []
+    words: dict[str, FiniteNumber] = {}
+    names: dict[str, str] = {}
 
 
 def source_of(place: str, entry: Any) -> SignalSource:
@@ -227,6 +357,9 @@ def source_of(place: str, entry: Any) -> SignalSource:
         return parse_source(place, entry)
     if isinstance(entry, str | list):
         entry = {"column": entry}
+    if isinstance(entry, dict) and isinstance(column := entry.get("column"), str) and _has_settings(column):
+        settings = {name: value for name, value in entry.items() if name != "column"}
+        return replace(parse_source(place, column), **settings)
     source = decoded(entry, _Source, place, RecordingError)
     columns = source.column or source.columns
     columns = [columns] if isinstance(columns, str) else columns
@@ -234,7 +367,44 @@ def source_of(place: str, entry: Any) -> SignalSource:
         raise RecordingError(f"{place}: the column is missing; give one, or a list to average")
     if source.scale == 0:
         raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
-    return SignalSource(tuple(columns), source.unit, source.scale, source.offset)
+    missing = source.missing if isinstance(source.missing, list) else [source.missing]
+    words = {word.lower(): number for word, number in source.words.items()}
+    made = SignalSource(tuple(columns), source.unit, source.scale, source.offset, tuple(missing), words)
+    return _with_formula(place, made, source.names) if source.names else made
+
+
+def _has_settings(column: str) -> bool:
+    """Whether settings, words or names follow a column, as where a map was written to a file."""
+    _, *settings = split_unquoted(column, ";")
+    return any("=" in setting for setting in settings)
+
+
+def _with_formula(place: str, source: SignalSource, names: Mapping[str, str]) -> SignalSource:
+    """The source with its text as a formula over these names.
+
+    Raises:
+        RecordingError: it is not a formula, or has other names.
+    """
+    try:
+        formula = formula_of(source.places[0])
+    except SamplingError as error:
+        first = next(iter(names))
+        raise RecordingError(
+            f"{place}: {first}: is not a known key; there are {', '.join(_SETTINGS)}; if it is a name in a "
+            f"formula: {error}"
+        ) from None
+    missing = [name for name in formula.names if name not in names]
+    unused = [name for name in names if name not in formula.names]
+    if unused:
+        raise RecordingError(
+            f"{place}: {unused[0]}: is not a known key; there are {', '.join(_SETTINGS)}, words with their "
+            f"numbers, and the names of a formula, but {formula.text!r} has no {unused[0]}"
+        )
+    if missing:
+        raise RecordingError(
+            f"{place}: {missing[0]} in {formula.text!r} is not named; write '; {missing[0]}=PLACE' behind it"
+        )
+    return replace(source, places=tuple(names.values()), formula=formula.text, names=tuple(names))
 
 
 def _plain_number(text: str) -> Any:
