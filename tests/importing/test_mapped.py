@@ -19,6 +19,7 @@ from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import tables
+from twinmatch.importing.cells import Cells
 from twinmatch.importing.column_map import columns_of, proposed, read_map
 from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names, without_marks
 from twinmatch.importing.tables import read_table
@@ -240,7 +241,6 @@ def test_maps_that_do_not_fit_are_explained(
         (CSV.replace(",20,", ",cold,"), "line 2: 'T1' is 'cold', which is not a number"),
         (CSV.replace("2,22,", "9,22,").replace("3,23", "10,23"), "a gap of 8 s after line 3"),
         (CSV.replace("t,T1,T2,on,room\n", ""), "the first line must name the columns"),
-        ("Logger 7\n" + CSV, "line 2: has 5 cells, but line 1 has 1 column names"),
         ("a,b\n", "has 1 lines"),
         (
             CSV.replace("\n0,", "\n45321.50000,")
@@ -536,7 +536,7 @@ def test_a_table_holds_the_same_numbers_however_many_rows_are_read_at_once(
     if divider == ",":
         path.write_text(path.read_text("utf-8").replace("1,5,", '"1,5",').replace("9,,,3", "9,3"), "utf-8")
     table = read_table(path)
-    monkeypatch.setattr(tables._Cells, "take_plain", lambda *_: False)  # cell by cell
+    monkeypatch.setattr(Cells, "take_plain", lambda *_: False)  # cell by cell
     wanted = read_table(path)
     assert list(table.lines) == list(wanted.lines)
     assert table.texts == wanted.texts

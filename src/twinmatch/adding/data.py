@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -27,7 +27,7 @@ from twinmatch.fitting.problem import LASTING
 from twinmatch.importing import open_any
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.table_files import open_table
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
@@ -85,11 +85,12 @@ def data_for(
     `progress` is called with how much has been read, and of how much.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
-        table = read_table(path, progress)
+        table = open_table(path, progress)
         full_map = with_plant_names(table, plant, signal_map)
         full_map = full_map if TIME in full_map.sources else full_map.joined(SignalMap(period=period))
         imported = map_samples(table, full_map, plant)
-        return session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
+        session = session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
+        return replace(session, missing=imported.notes)
     return open_any(path, plant=plant.name, progress=progress)
 
 

@@ -18,9 +18,10 @@ import numpy as np
 
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
-from twinmatch.importing.mapped import require_columns, times_of, with_titles
+from twinmatch.importing.mapped import in_rows, notes_on_times, require_columns, times_of, with_titles
 from twinmatch.importing.resampling import Kind, Resampled, complete_rows, repeated, resample
 from twinmatch.importing.tables import Table, split_title
+from twinmatch.importing.times import Times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
@@ -87,6 +88,8 @@ class Proposal:
     has_reference: bool = False
     split: bool = False
     """Whether the table has gaps, or a clock that was set back."""
+    notes: tuple[str, ...] = ()
+    """Sentences on how the table was read, for the user."""
 
     @property
     def thermal(self) -> bool:
@@ -128,7 +131,8 @@ def propose(table: Table, signal_map: SignalMap) -> Proposal:
     """
     require_columns(table, signal_map)
     sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
-    resampled = _resampled(table, sources, signal_map.period)
+    times = times_of(table, sources.get("time"), signal_map.period)
+    resampled = _resampled(table, sources, times, signal_map.period)
     disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
     drive = resampled.columns["input"]
@@ -162,21 +166,27 @@ def propose(table: Table, signal_map: SignalMap) -> Proposal:
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
         split=bool(resampled.gaps),
+        notes=(*table.notes, *notes_on_times(table, sources.get("time"), times)),
     )
 
 
-def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float | None) -> Resampled:
+def _resampled(
+    table: Table, sources: Mapping[str, SignalSource], times: Times, period: float | None
+) -> Resampled:
     """All signals on one clock, from the rows that have all of them.
 
     Raises:
         RecordingError: the rows cannot be resampled, or values are too large for squares.
     """
-    signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
-    times = times_of(table, sources.get("time"), period)
+    names = ["output", *(name for name in sources if name not in ("time", "output"))]
+    kinds: dict[str, Kind] = {**dict.fromkeys(names, "reading"), "input": "held"}
+    if "reference" in sources:
+        kinds["reference"] = "set"
+    table, times = in_rows(table, sources, kinds, times)
+    signals = {name: _values(table, sources[name]) for name in names}
     columns = (times.seconds, *signals.values())
     rows = complete_rows(*columns)
     rows = np.setdiff1d(rows, repeated(rows, *columns))
-    kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
     resampled = resample(
         times.seconds[rows],
         {name: values[rows] for name, values in signals.items()},

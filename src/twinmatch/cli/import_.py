@@ -15,7 +15,7 @@ from twinmatch.importing.bags import is_bag, open_bag
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.mapped_bags import map_bag
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.table_files import open_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import plant_topics, samples_of, write_session
@@ -92,7 +92,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
             imported = map_bag(options.recording, signal_map, plant, progress=progress.advance, **limits)
     else:
         with Progress("reading") as progress:
-            table = read_table(options.recording, progress.advance)
+            table = open_table(options.recording, progress.advance)
             progress.show(f"mapping {len(table.lines)} rows", 0, 0)
         imported = map_samples(table, with_plant_names(table, plant, signal_map), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in imported.sources.items())
@@ -134,14 +134,14 @@ def _list(path: Path) -> int:
         sources = {name: source for name, source in proposed(columns).items() if name != "time"}
     else:
         with Progress("reading") as progress:
-            table = read_table(path, progress.advance)
+            table = open_table(path, progress.advance)
         columns = columns_of(table)
-        notes = []
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")
             shown.add_row(c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind)
-        sources = proposed(columns)
+        sources = proposed(columns, table)
+        notes = list(table.notes)
     console_for(140).print(shown)
     for note in notes:
         print(f"Note: {note}")

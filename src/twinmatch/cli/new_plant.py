@@ -11,7 +11,7 @@ from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import Progress, add_options, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.table_files import open_table
 from twinmatch.sampling.sources import SignalMap, parse_map
 
 
@@ -52,6 +52,8 @@ def run(options: argparse.Namespace) -> int:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
+    for note in proposal.notes:
+        print(f"Note: {note}")
     _say(options, [str(folder / name) for name in files], " --gaps split" if proposal.split else "")
     return 0
 
@@ -64,10 +66,10 @@ def _proposal(options: argparse.Namespace) -> Proposal:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
         return example()
     with Progress("reading") as progress:
-        table = read_table(options.table, progress.advance)
+        table = open_table(options.table, progress.advance)
     if not signal_map.sources:
         columns = columns_of(table)
-        signal_map = SignalMap(proposed(columns))
+        signal_map = SignalMap(proposed(columns, table))
         words = shlex.join(f"{signal}={source.text}" for signal, source in signal_map.sources.items())
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.clocks import require_agreement, unlabelled_clocks
 from twinmatch.importing.resampling import Gaps, Kind, Resampled, complete_rows, repeated, resample
+from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import Times, read_times, row_times
+from twinmatch.importing.times import Times, read_date_and_time, read_times, row_times
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.names import LoopNames, accepted_names, by_signal
 from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
@@ -57,6 +59,8 @@ class PlantSignal(NamedTuple):
 def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, signal_map.sources))
+    if isinstance(table, SeriesTable):
+        sources.setdefault(TIME, SignalSource((table.time,)))
     used_titles: set[str] = set()
     for source in sources.values():
         used_titles.update(map(table.find, with_titles(table, source).places))
@@ -128,19 +132,19 @@ def map_samples(
     }
     signals, notes = _signals_to_read(table, plant, replace(signal_map, sources=sources))
     times = times_of(table, sources.get(TIME), signal_map.period)
+    kinds = {signal: properties.kind for signal, properties in signals.items()}
+    table, times = in_rows(table, sources, kinds, times)
     values = {
         signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
     }
     rows, row_notes = _rows_with_values(table, times, values)
-    notes += row_notes
-    if times.order:
-        notes.append(f"The dates are read as {times.order}.")
+    notes += [*row_notes, *table.notes, *notes_on_times(table, sources.get(TIME), times)]
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
     resampled = resample(
         times.seconds[rows],
         {signal: column[rows] for signal, column in values.items()},
-        {signal: properties.kind for signal, properties in signals.items()},
+        kinds,
         signal_map.period,
         longest=longest,
         gaps=gaps,
@@ -275,12 +279,58 @@ def _has_references(loop: LoopNames, sources: Mapping[str, SignalSource]) -> boo
 
 
 def times_of(table: Table, source: SignalSource | None, period: float | None) -> Times:
-    """The times in a column of a table or, without one, those of rows equally far apart."""
+    """The times in a column of a table, or of a date and a time of day in two; without one, those of rows
+    equally far apart.
+
+    Raises:
+        RecordingError: they cannot be read, or another clock of the table disagrees.
+    """
     if source is None:
         return row_times(len(table.lines), period or 1.0)
-    if len(source.places) > 1:
-        raise RecordingError(f"--map time={source.text}: names several columns; give one for time")
-    return read_times(table, source.places[0], source.unit, source.scale)
+    if len(source.places) == 2:
+        return read_date_and_time(table, *source.places)
+    if len(source.places) > 2:
+        raise RecordingError(
+            f"--map time={source.text}: names several columns; give one for time, or one for the date and "
+            "one for the time of day"
+        )
+    times = read_times(table, source.places[0], source.unit, source.scale)
+    if _is_unconfirmed(source):
+        require_agreement(table, source.places[0], times)
+    return times
+
+
+def in_rows(
+    table: Table, sources: Mapping[str, SignalSource], kinds: Mapping[str, Kind], times: Times
+) -> tuple[Table, Times]:
+    """The table and its times with all signals in each row; of stacked series, those of the first signal.
+
+    `kinds` has the signals that are read, and what is between two values of each; the first is an output.
+    """
+    if not isinstance(table, SeriesTable):
+        return table, times
+    kinds_by_title = {}
+    for signal, kind in kinds.items():
+        for title in sources[signal].places:
+            if title not in table.places_of:
+                raise RecordingError(f"{table.path}: {title!r} is none of its series; {signal} needs one")
+            kinds_by_title[title] = kind
+    return table.at_rows_of(next(iter(kinds_by_title)), kinds_by_title, times)
+
+
+def _is_unconfirmed(source: SignalSource) -> bool:
+    """Whether nobody has said what a column of times counts."""
+    return len(source.places) == 1 and not source.unit and source.scale == 1.0
+
+
+def notes_on_times(table: Table, source: SignalSource | None, times: Times) -> list[str]:
+    """Notes on how times were read, and on a second clock that nobody can judge."""
+    notes = []
+    if times.order:
+        notes.append(f"The dates are read as {times.order}.")
+    if source is not None and _is_unconfirmed(source):
+        notes += unlabelled_clocks(table, source.places[0], times)
+    return notes
 
 
 def _values(table: Table, source: SignalSource, signal: str, plant_signal: PlantSignal) -> FloatArray:
