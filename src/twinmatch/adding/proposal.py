@@ -18,7 +18,16 @@ import numpy as np
 
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
-from twinmatch.importing.mapped import in_rows, notes_on_times, require_columns, times_of, with_titles
+from twinmatch.importing.mapped import (
+    in_rows,
+    notes_on_impossible,
+    notes_on_times,
+    require_columns,
+    times_of,
+    with_titles,
+    without_impossible,
+    without_marks,
+)
 from twinmatch.importing.resampling import Kind, Resampled, complete_rows, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times
@@ -166,7 +175,11 @@ def propose(table: Table, signal_map: SignalMap) -> Proposal:
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
         split=bool(resampled.gaps),
-        notes=(*table.notes, *notes_on_times(table, sources.get("time"), times)),
+        notes=(
+            *table.notes,
+            *_notes_on_readings(table, sources),
+            *notes_on_times(table, sources.get("time"), times),
+        ),
     )
 
 
@@ -183,7 +196,7 @@ def _resampled(
     if "reference" in sources:
         kinds["reference"] = "set"
     table, times = in_rows(table, sources, kinds, times)
-    signals = {name: _values(table, sources[name]) for name in names}
+    signals = {name: _values(table, sources, name) for name in names}
     columns = (times.seconds, *signals.values())
     rows = complete_rows(*columns)
     rows = np.setdiff1d(rows, repeated(rows, *columns))
@@ -236,10 +249,25 @@ def _output_range(
     return _round_out(low - span, high + span)
 
 
-def _values(table: Table, source: SignalSource) -> FloatArray:
-    """The mean of the columns, in their unit, shape (N,)."""
-    columns = [source.scale * table.values(title) + source.offset for title in source.places]
-    return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
+def _values(table: Table, sources: Mapping[str, SignalSource], signal: str) -> FloatArray:
+    """The mean of the columns of a signal, in their unit, shape (N,); nan where there is no reading."""
+    source = sources[signal]
+    columns = [source.scale * without_marks(table.values(title)) + source.offset for title in source.places]
+    mean = np.asarray(np.mean(columns, axis=0), dtype=np.float64)
+    return without_impossible(mean, _unit(table, sources, signal))
+
+
+def _notes_on_readings(table: Table, sources: Mapping[str, SignalSource]) -> list[str]:
+    """Notes on columns with values below absolute zero."""
+    notes: list[str] = []
+    for signal, source in sources.items():
+        if signal != "time":
+            unit = _unit(table, sources, signal)
+            for title in source.places:
+                values = without_marks(table.values(title))
+                scaled = source.scale * values + source.offset
+                notes += notes_on_impossible(table, signal, values, without_impossible(scaled, unit))
+    return notes
 
 
 def _signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]) -> str:

@@ -134,23 +134,29 @@ def map_samples(
     times = times_of(table, sources.get(TIME), signal_map.period)
     kinds = {signal: properties.kind for signal, properties in signals.items()}
     table, times = in_rows(table, sources, kinds, times)
-    values = {
-        signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
-    }
+    values = {}
+    impossible_notes = []
+    for signal, properties in signals.items():
+        converted = _values(table, sources[signal], signal, properties)
+        values[signal] = without_impossible(converted, properties.unit)
+        impossible_notes += notes_on_impossible(table, signal, converted, values[signal])
     rows, row_notes = _rows_with_values(table, times, values)
-    notes += [*row_notes, *table.notes, *notes_on_times(table, sources.get(TIME), times)]
+    notes += [*impossible_notes, *row_notes, *table.notes, *notes_on_times(table, sources.get(TIME), times)]
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
-    resampled = resample(
-        times.seconds[rows],
-        {signal: column[rows] for signal, column in values.items()},
-        kinds,
-        signal_map.period,
-        longest=longest,
-        gaps=gaps,
-        place=str(table.path),
-        row=lambda i: table.row_name(int(rows[i])),
-    )
+    try:
+        resampled = resample(
+            times.seconds[rows],
+            {signal: column[rows] for signal, column in values.items()},
+            kinds,
+            signal_map.period,
+            longest=longest,
+            gaps=gaps,
+            place=str(table.path),
+            row=lambda i: table.row_name(int(rows[i])),
+        )
+    except RecordingError as error:
+        raise RecordingError(" ".join([str(error), *(f"({note})" for note in impossible_notes)])) from None
     if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
@@ -359,6 +365,31 @@ def without_marks(values: FloatArray) -> FloatArray:
     if least_reading < 0.5 * float(finite[is_mark].max()):
         return values
     return np.where(np.isin(values, _MARKS), np.nan, values)
+
+
+def without_impossible(values: FloatArray, unit: str) -> FloatArray:
+    """A column of temperatures with nan below absolute zero, which nothing measures, shape (N,).
+
+    In kelvin it may be a difference of temperatures, which is kept.
+    """
+    if not measure(unit).offset:
+        return values
+    kelvin = conversion(unit, "K")
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_impossible = values * kelvin.scale + kelvin.offset < 0.0
+    return np.where(is_impossible, np.nan, values)
+
+
+def notes_on_impossible(table: Table, signal: str, before: FloatArray, after: FloatArray) -> list[str]:
+    """A note on values that `without_impossible` has taken out of a signal, shape (N,) each."""
+    rows = np.flatnonzero(np.isfinite(before) & np.isnan(after))
+    if not rows.size:
+        return []
+    first = int(rows[0])
+    return [
+        f"{signal} is below absolute zero in {rows.size} rows, {before[first]:g} in {table.row_name(first)} "
+        "first: these are no readings."
+    ]
 
 
 def check_range(
