@@ -18,7 +18,7 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
-from twinmatch.dynamics import Law, Parameters, Plant, PlantError, commands_of
+from twinmatch.dynamics import Law, Model, Parameters, Plant, PlantError, commands_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, in_parts
 from twinmatch.fitting.gate import Status
@@ -27,9 +27,10 @@ from twinmatch.fitting.problem import LASTING
 from twinmatch.importing import open_any
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
+from twinmatch.importing.resampling import Gaps
 from twinmatch.importing.table_files import open_table
 from twinmatch.offline.judging import judge, terms_from_files
-from twinmatch.sampling.sources import TIME, SignalMap
+from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.showing.series import root_mean_square
@@ -78,17 +79,22 @@ def data_for(
     signal_map: SignalMap,
     period: float | None = None,
     progress: ProgressCallback | None = None,
+    *,
+    longest: float | None = None,
+    gaps: Gaps = "refuse",
 ) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
     the signals, and a sampling period, s, unless it has times.
 
-    `progress` is called with how much has been read, and of how much.
+    `progress` is called with how much has been read, and of how much; `longest` and `gaps` are those of
+    `map_samples`.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
         table = open_table(path, progress)
         full_map = with_plant_names(table, plant, signal_map)
-        full_map = full_map if TIME in full_map.sources else full_map.joined(SignalMap(period=period))
-        imported = map_samples(table, full_map, plant)
+        imported = map_samples(
+            table, full_map.joined(SignalMap(period=period)), plant, longest=longest, gaps=gaps
+        )
         session = session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
         return replace(session, missing=imported.notes)
     return open_any(path, plant=plant.name, progress=progress)
@@ -124,13 +130,13 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
 def _check_fits(session: Session, plant: type[Plant], show: Shown) -> CheckedPlant:
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
-    windows = [
-        part for w in _windows(stretches(session.samples, session.period)) for part in in_parts(plant, w)
-    ]
+    without_gaps = stretches(session.samples, session.period)
+    windows = [part for window in _windows(without_gaps) for part in in_parts(plant, window)]
     compared = _compared(windows, plant, size, noise=Noise.of(plant), law=None)
     findings, notes = _of_samples(session, plant, plant.model().parameters(), compared.least)
     findings += [*compared.findings, *_of_what_is_left(compared.least, plant)]
-    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), (*notes, *compared.notes))
+    notes += [*_note_on_short(without_gaps), *compared.notes]
+    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
 def _of_samples(
@@ -288,8 +294,12 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
 class _Extent:
     """Stretches of a recording to which structures are fitted, in samples."""
 
-    shortest: int = 60
-    """The shortest that is used."""
+    least: int = 63
+    """The shortest that can be fitted: the first 62 samples are not counted."""
+    shortest: int = 80
+    """The shortest that is used beside a longer one."""
+    part: float = 0.1
+    """A stretch shorter than this share of the longest one is left out: it hardly tells more."""
     total: int = 7200
     """All together at most: two hours at 1 s determine a structure, and longer fits take long."""
 
@@ -315,7 +325,8 @@ def compare_structures(
     windows = _windows(without_gaps)
     total = sum(map(len, without_gaps))
     first = settings.start.model.structure_name
-    return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
+    compared = _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
+    return compared._replace(notes=[*_note_on_short(without_gaps), *compared.notes])
 
 
 def _compared(
@@ -347,11 +358,24 @@ def _compared(
         problem = f"the recording supports the structure {chosen!r} rather than {first!r}"
         todo = "put it first in `structures`: single windows are matched with the first one"
         findings.append(Finding(problem, todo))
-    if lack := _lack(choice.score, windows, noise, law):
+    lack = _lack(choice.score, windows, noise, law)
+    if lack is not None and _is_chosen(lack.model, models, windows, noise, law):
         problem = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
         findings.append(Finding(problem, "add the lines above to the plant file"))
         notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
     return Compared(findings, notes, least)
+
+
+def _is_chosen(
+    grown: Model, models: Sequence[Model], windows: Sequence[Window], noise: Noise, law: Law | None
+) -> bool:
+    """Whether a plant with an effect added is chosen beside the structures of the file."""
+    others = [model for model in models if model.structure_name != grown.structure_name]
+    try:
+        choice = choose_structure(windows, [*others, grown], noise=noise, law=law)
+    except (FittingError, PlantError):
+        return False
+    return choice.chosen == grown.structure_name
 
 
 def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None) -> Lack | None:
@@ -374,14 +398,32 @@ def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: L
 
 
 def _windows(without_gaps: Sequence[Window]) -> list[Window]:
+    """The stretches to which structures are fitted: the first ones that are long enough, up to a total."""
+    least = _least_length(without_gaps)
     windows = []
     samples_left = _EXTENT.total
     for stretch in without_gaps:
         count = min(samples_left, len(stretch))
-        if count >= _EXTENT.shortest:
+        if count >= least:
             windows.append(stretch.part(stretch.first, stretch.first + count - 1))
             samples_left -= count
     return windows
+
+
+def _least_length(without_gaps: Sequence[Window]) -> float:
+    """Samples of the shortest stretch that is used."""
+    longest = max(map(len, without_gaps), default=0)
+    return max(min(_EXTENT.shortest, longest), _EXTENT.part * longest, _EXTENT.least)
+
+
+def _note_on_short(without_gaps: Sequence[Window]) -> list[str]:
+    """A note on stretches that are too short to be compared."""
+    least = _least_length(without_gaps)
+    short = [len(stretch) for stretch in without_gaps if len(stretch) < least]
+    if not short:
+        return []
+    stretches_are = "1 stretch is" if len(short) == 1 else f"{len(short)} stretches are"
+    return [f"{stretches_are} left out of the comparison: {sum(short)} samples, fewer than {least:.0f} each"]
 
 
 def _line(score: StructureScore, plant: type[Plant]) -> str:

@@ -44,11 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(mapping, "--map-file")
     add_options(mapping, "--period", help="sampling period, if not that of the rows")
-    longest = "longest gap to interpolate across (default: three rows)"
-    mapping.add_argument("--bridge", type=float, metavar="S", help=longest)
-    gaps = "what to do with longer gaps: refuse them (default), or split the session there, so that no "
-    gaps += "window reaches across"
-    mapping.add_argument("--gaps", choices=("refuse", "split"), default="refuse", help=gaps)
+    add_options(mapping, "--bridge", "--gaps")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from twinmatch.adding import Proposal, example, files_of, propose
+from twinmatch.adding.several import SeveralProposal, has_several, propose_several
 from twinmatch.cli.shared import Progress, add_options, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guess = "which column is which signal, as for twinmatch import; without it a guess is made"
     add_options(parser, "--map", help=guess)
     add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
+    add_options(parser, "--bridge", "--gaps")
     parser.add_argument(
         "-o",
         "--output",
@@ -54,11 +56,17 @@ def run(options: argparse.Namespace) -> int:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
     for note in proposal.notes:
         print(f"Note: {note}")
-    _say(options, [str(folder / name) for name in files], " --gaps split" if proposal.split else "")
+    _say(options, [str(folder / name) for name in files], _further_options(proposal))
     return 0
 
 
-def _proposal(options: argparse.Namespace) -> Proposal:
+def _further_options(proposal: Proposal | SeveralProposal) -> str:
+    """What the next commands need to read the table as it was read here."""
+    words = "" if proposal.bridge is None else f" --bridge {proposal.bridge:g}"
+    return words + (" --gaps split" if proposal.split else "")
+
+
+def _proposal(options: argparse.Namespace) -> Proposal | SeveralProposal:
     period = positive_period(options, "new-plant")
     signal_map = parse_map(options.map)
     if options.table is None:
@@ -74,7 +82,9 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
-    return propose(table, replace(signal_map, period=period))
+    signal_map = replace(signal_map, period=period)
+    propose_from = propose_several if has_several(signal_map) else propose
+    return propose_from(table, signal_map, longest=options.bridge)
 
 
 def _say(options: argparse.Namespace, files: list[str], further_options: str) -> None:
@@ -83,10 +93,13 @@ def _say(options: argparse.Namespace, files: list[str], further_options: str) ->
     print(f"Written: {', '.join(files)}")
     print("Next:")
     print(f"  1. check {plant}: names, units, ranges, equations (lines marked *)")
-    print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, and what to change")
-    print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
+    data = ""
     if mapped:
         table = shlex.quote(str(options.table))
+        data = f" --data {table} --map-file {mapped[0]}{further_options}"
+    print(f"  2. twinmatch check-plant {plant}{data}        # what is wrong with it, and what to change")
+    print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
+    if mapped:
         arguments = f"{table} --map-file {mapped[0]} --plant {plant}{further_options}"
         print(f"  4. twinmatch import {arguments} -o {session}")
     else:

@@ -14,7 +14,15 @@ from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.clocks import require_agreement, unlabelled_clocks
-from twinmatch.importing.resampling import Gaps, Kind, Resampled, complete_rows, repeated, resample
+from twinmatch.importing.resampling import (
+    Gaps,
+    Kind,
+    Resampled,
+    complete_rows,
+    repeated,
+    resample,
+    usual_period,
+)
 from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_date_and_time, read_times, row_times
@@ -159,6 +167,7 @@ def map_samples(
         raise RecordingError(" ".join([str(error), *(f"({note})" for note in impossible_notes)])) from None
     if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
+        notes += _note_on_fine_rows(plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
     has_reference = LoopNames.of(plant).references[0] in resampled.columns
@@ -200,6 +209,18 @@ def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
             f"{settles_in:.3g} s: nothing of that could be seen. If the times are in another unit, write "
             f"'time=COLUMN; unit=ms' or the like; if they are right, give --period {period:g}"
         )
+
+
+def _note_on_fine_rows(plant: type[Plant], period: float) -> list[str]:
+    """A note on rows much closer together than the plant needs."""
+    settles_in = time_constant(plant)
+    wanted = usual_period(settles_in, period)
+    if wanted == period:
+        return []
+    return [
+        f"The rows are {period:g} s apart, but {plant.title} settles within {settles_in:.3g} s: --period "
+        f"{wanted:g} would do; windows of as many samples then last long enough, and fits are faster."
+    ]
 
 
 def with_titles(table: Table, source: SignalSource) -> SignalSource:
