@@ -1,4 +1,4 @@
-"""`new-plant` for several outputs and inputs, and that every command takes what the one before has advised."""
+"""`new-plant` for several outputs and inputs; each command takes what the one before has advised."""
 
 from __future__ import annotations
 
@@ -179,13 +179,8 @@ def test_limits_hold_every_row(tmp_path: Path) -> None:
     """The highest command lies between two samples of the period; resampled, it is lower."""
     path = one_loop(tmp_path / "log.csv", "limits")
     signal_map = parse_map(["time=time", "output=T", "input=output"])
-    assert (
-        propose(open_table(path), signal_map).input.low,
-        propose(open_table(path), signal_map).input.high,
-    ) == (
-        0.0,
-        101.0,
-    )
+    drive = propose(open_table(path), signal_map).input
+    assert (drive.low, drive.high) == (0.0, 101.0)
     coarse = SignalMap(signal_map.sources, period=700.0)
     assert propose(open_table(path), coarse).input.high == 101.0
 
