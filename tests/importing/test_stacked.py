@@ -77,6 +77,24 @@ def test_a_history_of_home_assistant_is_its_entities(
         )
 
 
+def test_of_a_house_the_weather_is_what_acts_on_it(tmp_path: Path) -> None:
+    """Words at the foot of an export are states of another entity, not remarks."""
+    rows = [("sensor.living_room_temperature", f"{20 + k % 3}", 10.0 * k) for k in range(200)]
+    rows += [("sensor.outdoor_temperature", f"{5 + k}", 500.0 * k) for k in range(4)]
+    rows += [("switch.heater", "on" if k % 2 else "off", 100.0 * k) for k in range(20)]
+    rows += [("weather.home", "sunny" if k % 2 else "fog", 100.0 * k) for k in range(5)]
+    path = tmp_path / "history.csv"
+    lines = [f"{name},{state},{stamp(time)}" for name, state, time in rows]
+    path.write_text("\n".join(["entity_id,state,last_changed", *lines]) + "\n")
+    assert open_table(path).notes == ()
+    assert guess(path) == {
+        "time": "last_changed",
+        "output": "state[sensor.living_room_temperature]",
+        "input": "state[switch.heater]",
+        "room": "state[sensor.outdoor_temperature]",
+    }
+
+
 def test_a_state_that_does_not_change_stands(tmp_path: Path, heated: type[Plant]) -> None:
     rows = [(0.0, "switch.heater", "on")]
     rows += [

@@ -63,6 +63,7 @@ _INPUT: Final = re.compile(
     re.IGNORECASE,
 )
 _ROOM: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
+_OUTSIDE: Final = re.compile(r"amb|outside|outdoor|environment|t_?inf|surround|weather", re.IGNORECASE)
 _TIME: Final = re.compile(
     r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
 )
@@ -344,6 +345,7 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
     return [
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", references),
+        ("room", _named(columns, _OUTSIDE, ("numbers", "constant"))),
         ("room", _named(columns, _ROOM, ("numbers", "constant"))),
         ("input", [column for column in titled_inputs if column.stepped or column.kind == "on or off"]),
         ("input", titled_inputs),

@@ -38,7 +38,8 @@ def remark_rows(
     """The rows (from 0) that are remarks.
 
     A column of numbers has few texts, one of dates few texts that are no date. A row with such a text is a
-    remark if it has neither a number nor a date at all, or at the foot of the table.
+    remark if it has neither a number nor a date at all; at the foot of the table if it has no date, and no
+    number in the first column.
 
     A row that repeats a title is one, too.
 
@@ -60,7 +61,7 @@ def remark_rows(
     remarks = repeats | {row for row in odd_rows if not _has_values(row, columns, texts)}
     foot = _RULE.foot if rows >= _RULE.fewest else 0
     for row in range(rows - 1, rows - 1 - foot, -1):
-        if row not in odd_rows:
+        if row not in odd_rows or _has_a_date(row, texts) or np.isfinite(columns[0][row]):
             break
         remarks.add(row)
     return sorted(remarks)
@@ -87,4 +88,8 @@ def _has_values(row: int, columns: Sequence[FloatArray], texts: Sequence[Mapping
     """Whether a row has a number or a date."""
     if any(np.isfinite(column[row]) for column in columns):
         return True
+    return _has_a_date(row, texts)
+
+
+def _has_a_date(row: int, texts: Sequence[Mapping[int, str]]) -> bool:
     return any(row in column_texts and is_date(column_texts[row]) for column_texts in texts)
