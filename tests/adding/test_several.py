@@ -85,6 +85,19 @@ def test_the_files_of_several_loops_have_no_findings(tmp_path: Path, monkeypatch
     runpy.run_path("test_zones_of_two.py")["test_its_parameters_are_recovered"]()
 
 
+def test_a_table_of_two_loops_gives_the_map_of_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    two_zones(Path("zones.csv"))
+    assert main(["new-plant", "zones_left", "--from", "zones.csv"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in lines if line.startswith("The table has signals of 2 loops")]
+    given_map = shlex.split(line.partition("--map ")[2])
+    assert main(["new-plant", "zones_both", "--from", "zones.csv", "--map", *given_map]) == 0
+    assert sorted(find_plant("zones_both.py").outputs) == ["left", "right"]
+
+
 def guess(path: Path) -> dict[str, str]:
     table = open_table(path)
     return {signal: source.text for signal, source in proposed(columns_of(table), table).items()}

@@ -157,7 +157,8 @@ def test_a_table_with_a_word_in_each_row_stays_as_it_is(tmp_path: Path) -> None:
 
 def recorder(path: Path, *, old: bool) -> Path:
     """A database as the recorder of Home Assistant writes it, by its newer and by its older tables."""
-    states = [("sensor.tank", 10.0 * k, str(20 + k), "{}") for k in range(12)]
+    unit = '{"unit_of_measurement": "°F"}'
+    states = [("sensor.tank", 10.0 * k, str(68 + 1.8 * k), unit) for k in range(12)]
     states += [("light.hall", 3.0, "dim", "{}"), ("switch.heater", 0.0, "on", "{}")]
     attributes = '{"current_temperature": 20.5, "hvac_action": "heating", "preset_mode": "eco"}'
     states += [("climate.bath", 20.0 * k, "heat", attributes) for k in range(6)]
@@ -190,8 +191,9 @@ def test_the_recorder_of_home_assistant_is_imported_by_name(
 ) -> None:
     path = recorder(tmp_path / "home-assistant_v2.db", old=old)
     before = path.read_bytes()
-    run = mapped(path, heated, "output=sensor.tank", "input=switch.heater; scale=100")
-    assert [sample.output for sample in run.samples] == [20.0 + k for k in range(12)]
+    output = "sensor.tank; unit=°F" if old else "sensor.tank"  # the older tables do not say it
+    run = mapped(path, heated, f"output={output}", "input=switch.heater; scale=100")
+    assert [sample.output for sample in run.samples] == pytest.approx([20.0 + k for k in range(12)])
     assert {sample.input for sample in run.samples} == {100.0}
     assert run.samples[0].stamp == 1_772_323_200 * 10**9
     assert path.read_bytes() == before

@@ -11,7 +11,7 @@ from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.adding.several import SeveralProposal, has_several, propose_several
 from twinmatch.cli.shared import Progress, add_options, positive_period
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
+from twinmatch.importing.column_map import SEEN, columns_of, of_all_loops, proposed, seen_by_controller
 from twinmatch.importing.table_files import open_table
 from twinmatch.sampling.sources import SignalMap, parse_map
 
@@ -82,6 +82,10 @@ def _proposal(options: argparse.Namespace) -> Proposal | SeveralProposal:
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
+        if several := of_all_loops(columns, signal_map.sources):
+            loops = sum(name.startswith("input.") for name in several)
+            words = shlex.join(f"{signal}={source.text}" for signal, source in several.items())
+            print(f"The table has signals of {loops} loops; for a plant of all of them: --map {words}")
     signal_map = replace(signal_map, period=period)
     propose_from = propose_several if has_several(signal_map) else propose
     return propose_from(table, signal_map, longest=options.bridge)

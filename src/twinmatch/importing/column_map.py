@@ -300,6 +300,32 @@ def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
             chosen[signal] = of_same_thing[0]
 
 
+def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> dict[str, SignalSource]:
+    """The guess with the further outputs that have an input of the same thing, by name; empty without one.
+
+    `sources` is the guess at one loop.
+    """
+    if not {"output", "input"} <= sources.keys():
+        return {}
+    used = {title for source in sources.values() for title in source.places}
+    free = [c for c in columns if c.title not in used and not _REFERENCE.search(c.short_name)]
+    inputs = [c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in _of_units(free)]
+    outputs = [sources["output"]]
+    drives = [sources["input"]]
+    for column in _named(free, _OUTPUT, ("numbers",)) + _of_units(free):
+        partner = next((c for c in inputs if share_a_word(c.short_name, column.short_name)), None)
+        if partner is not None and column not in inputs and column.title not in used:
+            outputs.append(SignalSource((column.title,)))
+            drives.append(SignalSource((partner.title,)))
+            used.add(column.title)
+            inputs.remove(partner)
+    if len(outputs) == 1:
+        return {}
+    several = {name: source for name, source in sources.items() if name in ("time", "room")}
+    several |= {f"output.{number}": source for number, source in enumerate(outputs, 1)}
+    return several | {f"input.{number}": source for number, source in enumerate(drives, 1)}
+
+
 def _add_inputs(columns: Sequence[Column], chosen: dict[str, Column], table: Table) -> None:
     """Add what is named like an input, or switched, if the output moves with it beside the first input."""
     if not {"output", "input"} <= chosen.keys():

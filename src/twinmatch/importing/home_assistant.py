@@ -68,8 +68,9 @@ def read_history(path: Path) -> Table:
         RecordingError: it is not a database of Home Assistant, or is damaged.
     """
     try:
+        units: dict[str, str] = {}
         with database_at(path) as database:
-            states = list(_states(database))
+            states = list(_states(database, units))
     except (sqlite3.Error, OSError) as error:
         raise RecordingError(
             f"{path}: cannot be read as the history of Home Assistant ({error}); give a copy of "
@@ -77,11 +78,14 @@ def read_history(path: Path) -> Table:
         ) from error
     if not states:
         raise RecordingError(f"{path}: no entity of Home Assistant in it has a number")
-    return taken_apart(_table(path, states))
+    return taken_apart(_table(path, states), units)
 
 
-def _states(database: sqlite3.Connection) -> Iterator[_State]:
-    """All states of entities that have a number at least once, and those of their attributes."""
+def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_State]:
+    """All states of entities that have a number at least once, and those of their attributes.
+
+    `units` is filled with the unit of each entity that states one.
+    """
     columns = {str(row[1]) for row in database.execute("PRAGMA table_info(states)")}
     tables = {str(row[0]) for row in database.execute("SELECT name FROM sqlite_master")}
     if "state" not in columns:
@@ -91,7 +95,7 @@ def _states(database: sqlite3.Connection) -> Iterator[_State]:
     if "states_meta" in tables:
         joined = "JOIN states_meta ON states_meta.metadata_id = states.metadata_id"
     stamp = "last_updated_ts" if "last_updated_ts" in columns else "last_updated"
-    attributes = "''"
+    attributes = "states.attributes" if "attributes" in columns else "''"
     if "state_attributes" in tables:
         joined += " LEFT JOIN state_attributes ON state_attributes.attributes_id = states.attributes_id"
         attributes = "state_attributes.shared_attrs"
@@ -102,8 +106,11 @@ def _states(database: sqlite3.Connection) -> Iterator[_State]:
         if name is None or seconds is None:
             continue
         rows_of.setdefault(name, []).append(_State(name, str(text), seconds))
+        content = _attributes(document) if name not in units else {}
+        if content.get("unit_of_measurement"):
+            units[name] = str(content["unit_of_measurement"])
         if str(name).startswith(_WITH_ATTRIBUTES):
-            for attribute, value in _attributes(document):
+            for attribute, value in _signals_in(content).items():
                 series = f"{name}.{attribute}"
                 rows_of.setdefault(series, []).append(_State(series, str(value), seconds))
     for rows in rows_of.values():
@@ -111,16 +118,18 @@ def _states(database: sqlite3.Connection) -> Iterator[_State]:
             yield from rows
 
 
-def _attributes(document: Any) -> Iterator[tuple[str, Any]]:
-    """The attributes that are signals, in the JSON of all of them."""
+def _attributes(document: Any) -> dict[str, Any]:
+    """The attributes of a state, from their JSON; none if it cannot be read."""
     try:
         content = json.loads(document or "{}")
     except (TypeError, ValueError):
-        return
-    if isinstance(content, dict):
-        for name in _ATTRIBUTES:
-            if content.get(name) is not None:
-                yield name, content[name]
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _signals_in(attributes: dict[str, Any]) -> dict[str, Any]:
+    """The attributes that are signals."""
+    return {name: attributes[name] for name in _ATTRIBUTES if attributes.get(name) is not None}
 
 
 def _seconds(time: Any) -> float | None:

@@ -119,9 +119,10 @@ class SeriesTable(Table):
             columns[title] = (
                 series.newest(seconds) if self.is_held and kind != "held" else series.at(seconds, kind)
             )
-        units = {title: self.unit(title) for title in columns}
         lines = [self.lines[row] for row in own_rows]
-        table = Table(self.path, columns, lines, self.row, cell_units=units, notes=self.notes)
+        table = Table(
+            self.path, columns, lines, self.row, units=False, cell_units=self.cell_units, notes=self.notes
+        )
         return table, times._replace(seconds=seconds)
 
     def _rising(self, title: str, seconds: FloatArray) -> NDArray[np.intp]:
@@ -209,8 +210,11 @@ class _SeriesColumns(Mapping[str, FloatArray]):
         return len(self._plain) + len(self._places)
 
 
-def taken_apart(table: Table) -> Table:
-    """A table with a column for each series, if it stacks them; otherwise the table itself."""
+def taken_apart(table: Table, units: Mapping[str, str] | None = None) -> Table:
+    """A table with a column for each series, if it stacks them; otherwise the table itself.
+
+    `units` are those of the series by their names, where they are known.
+    """
     times = {title: seconds for title in table.columns if (seconds := _times(table, title)) is not None}
     values = [title for title in table.columns if _VALUES.match(title.strip())]
     if not times or len(values) != 1:
@@ -219,7 +223,7 @@ def taken_apart(table: Table) -> Table:
     names = _names(table, values[0], time, times[time])
     if not names:
         return table
-    return _series_table(table, _Stack(time, values[0], names), times[time])
+    return _series_table(table, _Stack(time, values[0], names), times[time], units or {})
 
 
 def _times(table: Table, title: str) -> FloatArray | None:
@@ -272,7 +276,7 @@ def _rises_within(codes: NDArray[np.intp], seconds: FloatArray) -> bool:
     return bool(np.sum(same_series & same_time) <= _RULE.repeats * codes.size)
 
 
-def _series_table(table: Table, stack: _Stack, seconds: FloatArray) -> SeriesTable:
+def _series_table(table: Table, stack: _Stack, seconds: FloatArray, units: Mapping[str, str]) -> SeriesTable:
     codes = _codes(table, stack.names)
     order = np.lexsort((seconds, codes))
     firsts = np.flatnonzero(np.diff(codes[order], prepend=-1))
@@ -301,6 +305,7 @@ def _series_table(table: Table, stack: _Stack, seconds: FloatArray) -> SeriesTab
         table.row,
         texts,
         units=False,
+        cell_units={title: units[name] for title, name in names.items() if name in units},
         notes=table.notes,
         places_of=places_of,
         names=names,

@@ -83,7 +83,7 @@ class Table:
     units: bool = True
     """Whether titles may end with a unit in brackets."""
     cell_units: Mapping[str, str] = field(default_factory=dict)
-    """By title, the unit behind the numbers of a column, as in `17.99 °C`."""
+    """By title, the unit behind the numbers of a column, as in `17.99 °C`, or the unit of a series."""
     notes: tuple[str, ...] = ()
     """Sentences on lines that are left out, for the user."""
 
@@ -129,10 +129,9 @@ class Table:
         return self.columns[title]
 
     def unit(self, title: str) -> str:
-        """The unit in brackets in a column's title, or behind its numbers; empty for variables of a .mat."""
-        if not self.units:
-            return ""
-        return split_title(title)[1] or self.cell_units.get(title, "")
+        """The unit in brackets in a column's title, or behind its numbers; empty without one."""
+        in_title = split_title(title)[1] if self.units else ""
+        return in_title or self.cell_units.get(title, "")
 
     def row_name(self, k: int) -> str:
         """What the k-th row is called within the file, such as `line 12`."""
