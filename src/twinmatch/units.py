@@ -85,7 +85,7 @@ class Measure(NamedTuple):
     """Whether its zero differs from the quantity's (°C, °F)."""
 
 
-class Quantity(NamedTuple):
+class NumberWithUnit(NamedTuple):
     """A number with its unit."""
 
     number: float
@@ -93,7 +93,7 @@ class Quantity(NamedTuple):
 
 
 @lru_cache(maxsize=4096)
-def quantity_in(text: str) -> Quantity | None:
+def quantity_in(text: str) -> NumberWithUnit | None:
     """The number and the unit in a text such as `17.99 °C`, `0%` or `21,5 W`; None for any other text.
 
     A comma is a decimal one; with three digits behind it, it may separate thousands: then None.
@@ -104,7 +104,7 @@ def quantity_in(text: str) -> Quantity | None:
     unit = match["unit"].strip()
     if not measure(unit).known:
         return None
-    return Quantity(float(match["number"].replace(",", ".")), unit)
+    return NumberWithUnit(float(match["number"].replace(",", ".")), unit)
 
 
 def is_readable(unit: str) -> bool:

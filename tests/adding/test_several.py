@@ -142,7 +142,7 @@ def test_of_a_cell_the_current_is_the_input(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("title", ["SetTemp", "T_soll", "target temperature", "SV", "temp set"])
-def test_a_set_point_is_no_input(tmp_path: Path, title: str) -> None:
+def test_a_set_point_is_not_an_input(tmp_path: Path, title: str) -> None:
     wanted = held([20, 40, 30], 600, 200)
     columns = {"time": np.arange(600.0), "temp": lagged(wanted, 30.0, 20.0, 1), title: wanted}
     signals = guess(written(tmp_path / "log.csv", columns))

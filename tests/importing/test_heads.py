@@ -47,7 +47,7 @@ def test_what_is_left_out_is_named_by_its_line(tmp_path: Path) -> None:
     table = table_of(tmp_path, "Logger 7", "time,T,on", *ROWS, "End of log")
     assert table.notes == (
         "Line 1 stands above the column names and is left out.",
-        "Line 43 is no row and is left out: 'End of log'.",
+        "Line 43 is not a row and is left out: 'End of log'.",
     )
     assert table_of(tmp_path, "# all names", "#time,T,on", *ROWS).notes == (
         "The column names are those behind the # in line 2.",

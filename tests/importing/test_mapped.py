@@ -298,7 +298,7 @@ def test_below_absolute_zero_nothing_was_read(tmp_path: Path, heated: type[Plant
     """Of a disturbance neither: such rows are left out, and the gap that remains says why it is there."""
     run = mapped(tmp_path, heated, CSV.replace("2,22,24,True,19.6", "2,22,24,True,-8000"))
     assert [s.disturbances for s in run.samples] == [(19.5,), (19.5,), (19.55,), (19.6,)]
-    assert "room is below absolute zero in 1 rows, -8000 in line 4 first: these are no readings." in run.notes
+    assert "room is below absolute zero in 1 rows, -8000 in line 4 first: nothing has read that." in run.notes
     rows = [f"{k},{20 + k % 3},24,{k % 2},{-8000 if 10 <= k < 20 else 19}" for k in range(30)]
     with pytest.raises(RecordingError, match=r"a gap of 11 s .*room is below absolute zero in 10 rows"):
         mapped(tmp_path, heated, "\n".join(["t,T1,T2,on,room", *rows]) + "\n")

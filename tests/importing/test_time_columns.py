@@ -53,7 +53,7 @@ def test_durations_and_times_of_day_are_times(tmp_path: Path, form: str) -> None
     assert np.diff(seconds_of(table, "Time")).tolist() == [2.0] * 24
 
 
-def test_a_time_of_day_goes_on_past_midnight(tmp_path: Path) -> None:
+def test_a_time_of_day_continues_past_midnight(tmp_path: Path) -> None:
     rows = [f"{clock((86_380.0 + 2.0 * k) % 86_400.0, '{h:02d}:{m:02d}:{w:02d}')},{k % 3}" for k in range(30)]
     assert np.diff(seconds_of(table_of(tmp_path, "Time,T", rows), "Time")).tolist() == [2.0] * 29
 
@@ -81,12 +81,12 @@ def test_date_and_time_may_be_in_two_columns(tmp_path: Path, date: str) -> None:
 
 
 @pytest.mark.parametrize("title", ["Record", "No.", "Rec #", "sample number", "index", ""])
-def test_a_number_of_the_row_is_no_time(tmp_path: Path, title: str) -> None:
+def test_a_number_of_the_row_is_not_a_time(tmp_path: Path, title: str) -> None:
     table = table_of(tmp_path, f"{title},T,heater", [f"{k},{20 + k % 3},{k % 2}" for k in range(1, 30)])
     assert "time" not in guess(table)
 
 
-def test_a_column_that_rises_like_a_time_is_no_output(tmp_path: Path) -> None:
+def test_a_column_that_rises_like_a_time_is_not_an_output(tmp_path: Path) -> None:
     rows = [f"{0.1 * k:.1f},{0.1 * k:.1f},{20 + (k // 7) % 3}" for k in range(60)]
     table = table_of(tmp_path, "tout,simout,level", rows)
     assert guess(table) == {"time": "tout", "output": "level"}
@@ -126,7 +126,7 @@ def test_clocks_that_agree_are_not_spoken_of(tmp_path: Path, second: str) -> Non
     assert np.diff(seconds_of(table, "time (s)")).tolist() == pytest.approx([0.5] * 59)
 
 
-def test_a_step_time_that_begins_again_is_no_second_clock(tmp_path: Path) -> None:
+def test_a_step_time_that_begins_again_is_not_a_second_clock(tmp_path: Path) -> None:
     rows = [f"{k},{k % 20},{k // 2},{20 + k % 3}" for k in range(80)]
     table = table_of(tmp_path, "Test time (s),Step time (s),on time (s),T", rows)
     assert np.diff(seconds_of(table, "Test time (s)")).tolist() == [1.0] * 79

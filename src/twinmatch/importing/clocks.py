@@ -1,7 +1,7 @@
 """Several clocks in one table: where two disagree, one counts in another unit than it says.
 
 A logger that counts milliseconds under the label `s` makes a plant a thousand times too slow. A second column
-of times shows it, but not which of them is right: the user decides. A number of the row is no clock.
+of times shows it, but not which of them is right: the user decides. A number of the row is not a clock.
 """
 
 from __future__ import annotations

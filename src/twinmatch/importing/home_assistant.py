@@ -41,7 +41,7 @@ _ATTRIBUTES: Final = (
 )
 
 
-class _State(NamedTuple):
+class _EntityState(NamedTuple):
     """A new state of a series."""
 
     name: str
@@ -51,7 +51,7 @@ class _State(NamedTuple):
 
 
 def is_database(path: Path) -> bool:
-    """Whether a file is a database of SQLite that is no bag."""
+    """Whether a file is a database of SQLite, and not a bag."""
     if path.suffix.lower() not in _SUFFIXES:
         return False
     try:
@@ -81,7 +81,7 @@ def read_history(path: Path) -> Table:
     return taken_apart(_table(path, states), units)
 
 
-def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_State]:
+def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_EntityState]:
     """All states of entities that have a number at least once, and those of their attributes.
 
     `units` is filled with the unit of each entity that states one.
@@ -100,19 +100,19 @@ def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_St
         joined += " LEFT JOIN state_attributes ON state_attributes.attributes_id = states.attributes_id"
         attributes = "state_attributes.shared_attrs"
     query = f"SELECT {entity}, states.state, states.{stamp}, {attributes} FROM states {joined}"  # noqa: S608
-    rows_of: dict[str, list[_State]] = {}
+    rows_of: dict[str, list[_EntityState]] = {}
     for name, text, time, document in database.execute(query):
         seconds = _seconds(time)
         if name is None or seconds is None:
             continue
-        rows_of.setdefault(name, []).append(_State(name, str(text), seconds))
+        rows_of.setdefault(name, []).append(_EntityState(name, str(text), seconds))
         content = _attributes(document) if name not in units else {}
         if content.get("unit_of_measurement"):
             units[name] = str(content["unit_of_measurement"])
         if str(name).startswith(_WITH_ATTRIBUTES):
             for attribute, value in _signals_in(content).items():
                 series = f"{name}.{attribute}"
-                rows_of.setdefault(series, []).append(_State(series, str(value), seconds))
+                rows_of.setdefault(series, []).append(_EntityState(series, str(value), seconds))
     for rows in rows_of.values():
         if any(_is_number(state.text) for state in rows):
             yield from rows
@@ -143,7 +143,7 @@ def _is_number(text: str) -> bool:
     return math.isfinite(value)
 
 
-def _table(path: Path, states: list[_State]) -> Table:
+def _table(path: Path, states: list[_EntityState]) -> Table:
     """The table of these states, one row for each."""
     values = array("d")
     value_texts: dict[int, str] = {}

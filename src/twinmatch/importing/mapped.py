@@ -409,7 +409,7 @@ def notes_on_impossible(table: Table, signal: str, before: FloatArray, after: Fl
     first = int(rows[0])
     return [
         f"{signal} is below absolute zero in {rows.size} rows, {before[first]:g} in {table.row_name(first)} "
-        "first: these are no readings."
+        "first: nothing has read that."
     ]
 
 

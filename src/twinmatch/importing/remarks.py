@@ -1,4 +1,4 @@
-"""Lines among the rows of a table that are none: a sentence at its foot, sums, names that a restart repeats.
+"""Lines among the rows of a table that are not rows: sentences, sums, names that a restart repeats.
 
 Such a line would turn its columns into text. It is left out, and a note names it.
 """
@@ -37,7 +37,7 @@ def remark_rows(
 ) -> list[int]:
     """The rows (from 0) that are remarks.
 
-    A column of numbers has few texts, one of dates few texts that are no date. A row with such a text is a
+    A column of numbers has few texts, one of dates few texts other than dates. A row with such a text is a
     remark if it has neither a number nor a date at all; at the foot of the table if it has no date, and no
     number in the first column.
 
@@ -68,7 +68,7 @@ def remark_rows(
 
 
 def _odd_cells(column: FloatArray, texts: Mapping[int, str]) -> Iterable[int]:
-    """The rows of texts in a column of numbers, or of texts that are no dates in a column of dates."""
+    """The rows of texts in a column of numbers, or of texts other than dates in a column of dates."""
     numbers = int(np.isfinite(column).sum())
     filled = {row: text for row, text in texts.items() if text.strip()}
     if len(filled) <= min(_RULE.most, 0.1 * numbers):

@@ -185,7 +185,7 @@ def _with_standing_values(seconds: FloatArray, rows: NDArray[np.intp]) -> tuple[
 
 
 class _SeriesColumns(Mapping[str, FloatArray]):
-    """Numbers by title: the columns of the table that are no series, and the series, made when asked for."""
+    """Numbers by title: the plain columns of the table, and its series, made when asked for."""
 
     def __init__(
         self, plain: Mapping[str, FloatArray], values: FloatArray, places: Mapping[str, NDArray[np.intp]]

@@ -287,7 +287,7 @@ def _table_of(path: Path, titles: Sequence[str], cells: Cells, notes: Sequence[s
 def _note(place: int, row: int, all_texts: Sequence[Mapping[int, str]]) -> str:
     """That a line is left out, with its first text."""
     text = next(texts[row].strip() for texts in all_texts if texts.get(row, "").strip())
-    return f"Line {place} is no row and is left out: {text[:60]!r}."
+    return f"Line {place} is not a row and is left out: {text[:60]!r}."
 
 
 def _check_titles(path: Path, titles: Sequence[str]) -> None:
