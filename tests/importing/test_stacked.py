@@ -147,6 +147,28 @@ def test_a_series_that_is_not_there_is_named(tmp_path: Path, heated: type[Plant]
         mapped(path, heated, "output=pressure", "input=duty")
 
 
+def test_series_may_have_numbers_for_names(tmp_path: Path) -> None:
+    """Their rows alternate, so that the times rise: nothing but the title says that these are names."""
+    rows = [f"{k},{k % 2 + 1},{20 + k if k % 2 else 50 * (k // 20 % 2)}" for k in range(80)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,sensor_id,value", *rows]) + "\n")
+    assert set(open_table(path).columns) == {"time", "value[1]", "value[2]"}
+
+
+def test_each_row_may_have_the_values_of_one_device(tmp_path: Path, heated: type[Plant]) -> None:
+    rows = []
+    for k in range(40):
+        rows += [f"{k},kiln,{20 + k},{k // 20 * 50}", f"{k + 0.3:g},room,19.5,0"]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,device,temp (°C),duty (%)", *rows]) + "\n")
+    table = open_table(path)
+    assert table.unit(table.find("temp (°C)[kiln]")) == "°C"
+    run = mapped(path, heated, "output=temp (°C)[kiln]", "input=kiln.duty", "room=room.temp")
+    # At the kiln's first row the room has not been read yet.
+    assert [sample.output for sample in run.samples] == [20.0 + k for k in range(1, 40)]
+    assert [sample.input for sample in run.samples] == [k // 20 * 50 for k in range(1, 40)]
+
+
 def test_a_table_with_a_word_in_each_row_stays_as_it_is(tmp_path: Path) -> None:
     """A mode beside readings does not name series: the times do not repeat."""
     path = tmp_path / "log.csv"

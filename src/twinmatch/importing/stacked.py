@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.resampling import Kind, bridged_up_to, held_means, usual_step
-from twinmatch.importing.tables import Table
+from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times
 from twinmatch.signals import FloatArray
 
@@ -34,6 +34,8 @@ class _StackRule:
     """Most series."""
     rows: int = 3
     """Fewest rows of a series, on average."""
+    named: float = 0.9
+    """Least share of the rows that have a name."""
     repeats: float = 0.02
     """Largest share of the rows of a series that repeat its time."""
 
@@ -42,7 +44,7 @@ _RULE: Final = _StackRule()
 _VALUES: Final = re.compile(r"^(_?value|state|val|reading|data|numeric_?value|mean|last)$", re.IGNORECASE)
 _NAMES: Final = re.compile(
     r"^(_field|entity(_id)?|sensor(_?(id|name))?|tag(_?name)?|topic|variable|metric|series|channel|signal|"
-    r"parameter|point|key|name|item|device(_?(id|name))?|attribute)$",
+    r"parameter|point|key|name|item|device(_?(id|name))?|node(_?(id|name))?|attribute)$",
     re.IGNORECASE,
 )
 _CHANGES: Final = re.compile(r"^last_(changed|updated)(_ts)?$", re.IGNORECASE)
@@ -53,7 +55,8 @@ class _Stack(NamedTuple):
     """How a table stacks series."""
 
     time: str
-    value: str
+    values: tuple[str, ...]
+    """One column, or several if each row has the values of one device."""
     names: tuple[str, ...]
     """Columns that name the series together."""
 
@@ -188,8 +191,12 @@ class _SeriesColumns(Mapping[str, FloatArray]):
     """Numbers by title: the plain columns of the table, and its series, made when asked for."""
 
     def __init__(
-        self, plain: Mapping[str, FloatArray], values: FloatArray, places: Mapping[str, NDArray[np.intp]]
+        self,
+        plain: Mapping[str, FloatArray],
+        values: Mapping[str, FloatArray],
+        places: Mapping[str, NDArray[np.intp]],
     ) -> None:
+        """`values` are the columns of values, and `places` the rows of each series, by its title."""
         self._plain = plain
         self._values = values
         self._places = places
@@ -197,9 +204,9 @@ class _SeriesColumns(Mapping[str, FloatArray]):
     def __getitem__(self, title: str) -> FloatArray:
         if title in self._plain:
             return self._plain[title]
-        column = np.full(self._values.size, np.nan)
         rows = self._places[title]
-        column[rows] = self._values[rows]
+        column = np.full(self._values[title].size, np.nan)
+        column[rows] = self._values[title][rows]
         return column
 
     def __iter__(self) -> Iterator[str]:
@@ -215,15 +222,33 @@ def taken_apart(table: Table, units: Mapping[str, str] | None = None) -> Table:
 
     `units` are those of the series by their names, where they are known.
     """
-    times = {title: seconds for title in table.columns if (seconds := _times(table, title)) is not None}
-    values = [title for title in table.columns if _VALUES.match(title.strip())]
-    if not times or len(values) != 1:
+    times = {}
+    for title in table.columns:
+        seconds = _times(table, title)
+        if seconds is not None:
+            times[title] = seconds
+    if not times:
         return table
     time = max(times, key=lambda title: np.unique(times[title]).size)
-    names = _names(table, values[0], time, times[time])
-    if not names:
+    titled_values = [title for title in table.columns if _VALUES.match(title.strip())]
+    if len(titled_values) == 1:
+        names = _names(table, (titled_values[0], time), times[time])
+        values = titled_values
+    else:
+        names = _names(table, (time,), times[time])
+        values = [
+            title for title in table.columns if title not in (*names, *times) and _is_numeric(table, title)
+        ]
+        if not names or np.unique(_codes(table, names)).size < 2:
+            return table
+    if not names or not values:
         return table
-    return _series_table(table, _Stack(time, values[0], names), times[time], units or {})
+    return _series_table(table, _Stack(time, tuple(values), names), times[time], units or {})
+
+
+def _is_numeric(table: Table, title: str) -> bool:
+    """Whether a column has more numbers than texts."""
+    return bool(np.isfinite(table.columns[title]).sum() > len(table.texts.get(title, {})))
 
 
 def _times(table: Table, title: str) -> FloatArray | None:
@@ -238,15 +263,19 @@ def _times(table: Table, title: str) -> FloatArray | None:
     return seconds if np.unique(seconds[np.isfinite(seconds)]).size > 1 else None
 
 
-def _names(table: Table, value: str, time: str, seconds: FloatArray) -> tuple[str, ...]:
-    """The columns that name the series: one alone if its series have rising times, or else all."""
+def _names(table: Table, others: tuple[str, ...], seconds: FloatArray) -> tuple[str, ...]:
+    """The columns that name the series: one alone if its series have rising times, or else all.
+
+    `others` are the columns of times and values.
+    """
     rows = len(table.lines)
-    texts_of = {title: texts for title, texts in table.texts.items() if title not in (value, time)}
-    counts = {title: len(set(texts.values())) for title, texts in texts_of.items() if len(texts) > 0.9 * rows}
-    varying = [
-        title for title, count in counts.items()
-        if count <= min(_RULE.most, rows / _RULE.rows) and _times(table, title) is None
-    ]  # fmt: skip
+    counts = {}
+    for title in table.columns:
+        labels = [] if title in others else _labels(table, title)
+        if sum(map(bool, labels)) > _RULE.named * rows and _times(table, title) is None:
+            counts[title] = len(set(labels))
+    most = min(_RULE.most, rows / _RULE.rows)
+    varying = [title for title, count in counts.items() if count <= most]
     titled = [title for title in varying if _NAMES.match(title.strip())]
     for title in sorted(titled, key=lambda title: (title.lower() != "_field", -counts[title])):
         if _rises_within(_codes(table, (title,)), seconds):
@@ -257,15 +286,25 @@ def _names(table: Table, value: str, time: str, seconds: FloatArray) -> tuple[st
     return ()
 
 
+def _labels(table: Table, title: str) -> list[str]:
+    """The texts of a column, by row; of one that has the name of a name, whole numbers are texts, too.
+
+    Empty for another column of numbers.
+    """
+    texts = table.texts.get(title, {})
+    column = table.columns[title]
+    if texts:
+        return [texts.get(row, "").strip() for row in range(column.size)]
+    if _NAMES.match(title.strip()) is None or not np.isfinite(column).all() or (column % 1.0).any():
+        return []
+    return [f"{value:g}" for value in column.tolist()]
+
+
 def _codes(table: Table, names: tuple[str, ...]) -> NDArray[np.intp]:
     """A number for each row that tells its series, shape (N,)."""
     numbers: dict[tuple[str, ...], int] = {}
-    codes = [numbers.setdefault(_key(table, names, row), len(numbers)) for row in range(len(table.lines))]
-    return np.array(codes, dtype=np.intp)
-
-
-def _key(table: Table, names: tuple[str, ...], row: int) -> tuple[str, ...]:
-    return tuple(table.texts[title].get(row, "").strip() for title in names)
+    keys = zip(*(_labels(table, title) for title in names), strict=True)
+    return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp)
 
 
 def _rises_within(codes: NDArray[np.intp], seconds: FloatArray) -> bool:
@@ -280,35 +319,47 @@ def _series_table(table: Table, stack: _Stack, seconds: FloatArray, units: Mappi
     codes = _codes(table, stack.names)
     order = np.lexsort((seconds, codes))
     firsts = np.flatnonzero(np.diff(codes[order], prepend=-1))
-    others = table.texts.keys() - {*stack.names, stack.value, stack.time}
+    labels = {title: _labels(table, title) for title in stack.names}
+    others = table.texts.keys() - {*stack.names, *stack.values, stack.time}
     has_other_names = any(title == "_measurement" or _NAMES.match(title.strip()) for title in others)
+    columns = {}
     places_of = {}
     names = {}
-    for rows in np.split(order, firsts[1:]):
-        key = _key(table, stack.names, int(rows[0]))
-        pairs = [f"{title}={text}" for title, text in zip(stack.names, key, strict=True)]
-        name = ", ".join(pairs) if has_other_names or len(pairs) > 1 else key[0]
-        title = f"{stack.value}[{name}]"
-        places_of[title] = rows
-        names[title] = name
-    value_texts = table.texts.get(stack.value, {})
+    cell_units = {}
     texts = {stack.time: table.texts[stack.time]} if stack.time in table.texts else {}
-    for title, rows in places_of.items():
-        series_texts = {row: value_texts[row] for row in rows.tolist() if row in value_texts}
-        if series_texts:
-            texts[title] = series_texts
+    for rows in np.split(order, firsts[1:]):
+        pairs = [f"{title}={labels[title][rows[0]]}" for title in stack.names]
+        plain_name = labels[stack.names[0]][rows[0]]
+        series = ", ".join(pairs) if has_other_names or len(pairs) > 1 else plain_name
+        for value in stack.values:
+            title = f"{value}[{series}]"
+            columns[title] = table.columns[value]
+            places_of[title] = rows
+            names[title] = series if len(stack.values) == 1 else f"{series}.{split_title(value)[0]}"
+            series_texts = _texts_in(table, value, rows)
+            if series_texts:
+                texts[title] = series_texts
+            unit = units.get(series) or table.unit(value)
+            if unit:
+                cell_units[title] = unit
     plain = {stack.time: table.columns[stack.time]}
     return SeriesTable(
         table.path,
-        _SeriesColumns(plain, table.columns[stack.value], places_of),
+        _SeriesColumns(plain, columns, places_of),
         table.lines,
         table.row,
         texts,
         units=False,
-        cell_units={title: units[name] for title, name in names.items() if name in units},
+        cell_units=cell_units,
         notes=table.notes,
         places_of=places_of,
         names=names,
         time=stack.time,
         is_held=_CHANGES.match(stack.time) is not None,
     )
+
+
+def _texts_in(table: Table, title: str, rows: NDArray[np.intp]) -> dict[int, str]:
+    """The texts of a column in some rows, by row."""
+    texts = table.texts.get(title, {})
+    return {row: texts[row] for row in rows.tolist() if row in texts}
