@@ -55,7 +55,10 @@ def test_what_is_left_out_is_named_by_its_line(tmp_path: Path) -> None:
     assert table_of(tmp_path, "time,T,on", *ROWS).notes == ()
 
 
-@pytest.mark.parametrize("rows", [ROWS, DATED, [row.replace(",0", ",OFF") for row in DATED]])
+LABELLED = [f"T:{20 + k}.5,duty:{k % 2}" for k in range(40)]
+
+
+@pytest.mark.parametrize("rows", [ROWS, DATED, LABELLED, [row.replace(",0", ",OFF") for row in DATED]])
 def test_a_row_is_not_taken_for_names(tmp_path: Path, rows: list[str]) -> None:
     with pytest.raises(RecordingError, match=r"line 1: has .*; the first line must name the columns"):
         table_of(tmp_path, *rows)
@@ -101,6 +104,11 @@ def test_units_and_commas_in_cells_are_read(tmp_path: Path) -> None:
     assert (table.unit("T"), table.unit("duty"), table.unit("room")) == ("°C", "%", "")
     assert table.values("duty").tolist() == [10.0 * k for k in range(10)]
     assert table.values("room").tolist() == [float(f"21.{k}") for k in range(10)]
+
+
+def test_a_line_of_units_may_have_brackets(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "Time,Channel A", "(s),(degC)", "", *(f"{k},{20 + k}" for k in range(9)))
+    assert list(table.columns) == ["Time (s)", "Channel A (degC)"]
 
 
 def test_two_units_in_one_column_are_refused(tmp_path: Path) -> None:

@@ -53,6 +53,32 @@ def test_durations_and_times_of_day_are_times(tmp_path: Path, form: str) -> None
     assert np.diff(seconds_of(table, "Time")).tolist() == [2.0] * 24
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "2026-03-01 10:00:{:02d} UTC",
+        "2026-03-01 10:00:{:02d} +01:00",
+        "2026-03-01 10:00:{:02d}:000",
+        "03/01/2026 10:00:{:02d}:123",
+        "01-Mar-2026 10:00:{:02d}",
+        "Sun Mar  1 10:00:{:02d} 2026",
+        "Sunday, March 1, 2026 10:00:{:02d}",
+        "1 Mar 2026 10:00:{:02d}.5",
+    ],
+)
+def test_dates_are_read_as_programs_write_them(tmp_path: Path, form: str) -> None:
+    rows = [f'"{form.format(2 * k)}",{20 + k % 3},{k % 2}' for k in range(25)]
+    table = table_of(tmp_path, "when,T,heater", rows)
+    assert guess(table)["time"] == "when"
+    assert np.diff(seconds_of(table, "when")).tolist() == pytest.approx([2.0] * 24)
+
+
+@pytest.mark.parametrize("title", ["ms", "millis", "millis()", "time_ms", "uptime millis"])
+def test_a_title_may_be_the_unit(tmp_path: Path, title: str) -> None:
+    table = table_of(tmp_path, f"{title},T,heater", [f"{2000 * k},{20 + k % 3},{k % 2}" for k in range(25)])
+    assert np.diff(seconds_of(table, guess(table)["time"])).tolist() == [2.0] * 24
+
+
 def test_a_time_of_day_continues_past_midnight(tmp_path: Path) -> None:
     rows = [f"{clock((86_380.0 + 2.0 * k) % 86_400.0, '{h:02d}:{m:02d}:{w:02d}')},{k % 3}" for k in range(30)]
     assert np.diff(seconds_of(table_of(tmp_path, "Time,T", rows), "Time")).tolist() == [2.0] * 29

@@ -34,8 +34,7 @@ class _Agreement:
 
 
 _AGREEMENT: Final = _Agreement()
-_NAME: Final = re.compile(r"^t$|time|stamp|elapsed|millis|micros|uptime|^sec|clock", re.IGNORECASE)
-_NAMED_UNITS: Final = {"millis": "ms", "micros": "us"}
+_NAME: Final = re.compile(r"^t$|^ms$|time|stamp|elapsed|millis|micros|uptime|^sec|clock", re.IGNORECASE)
 _UNITS: Final = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 """Usual units of time, s."""
 _COUNTED: Final = r"rec|record|row|sample|scan|point|reading|entry|line|data"
@@ -157,9 +156,8 @@ def _clock(table: Table, title: str) -> _Clock | None:
     has_texts = bool(table.texts.get(title))
     if not has_texts and _NAME.search(name) is None:
         return None
-    named_unit = next((unit for part, unit in _NAMED_UNITS.items() if part in name.lower()), "")
     try:
-        seconds = read_times(table, title, table.unit(title) or named_unit).seconds
+        seconds = read_times(table, title).seconds
     except TwinmatchError:
         return None
     finite = seconds[np.isfinite(seconds)]
@@ -171,5 +169,5 @@ def _clock(table: Table, title: str) -> _Clock | None:
         return None if is_day_only else _Clock(title, seconds, is_labelled=True)
     if np.mean(steps > 0) < _AGREEMENT.rising:
         return None
-    has_unit = bool(table.unit(title) or unit_in(title) or named_unit)
+    has_unit = bool(table.unit(title) or unit_in(title))
     return _Clock(title, seconds, is_labelled=has_unit or is_since_1970(table.columns[title]))

@@ -1,7 +1,8 @@
 """Dates, times of day and durations as loggers write them, as seconds.
 
 Dates are ISO 8601 (`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or have the year last
-(`22/01/2021 14:48:58`); without a time zone they are taken as UTC, and without a time of day as midnight.
+(`22/01/2021 14:48:58`), or the name of the month (`22-Jan-2021 14:48:58`). Without a time zone they are taken
+as UTC, and without a time of day as midnight.
 
 Whether the day or the month comes first differs from country to country, and `05/03/2026` is a date in both
 orders. The rows decide: in the wrong order a day above 12 is not a month, and the step past midnight becomes
@@ -41,7 +42,7 @@ DAY_FIRST: Final = "day/month/year"
 MONTH_FIRST: Final = "month/day/year"
 _LOCAL_DATE: Final = re.compile(
     r"(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d{2})(?:[ ,T]+"
-    r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*([ap]\.?m\.?)?(Z|[+-]\d{2}:\d{2})?)?",
+    r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s*([ap]\.?m\.?)?(Z|[+-]\d{2}:\d{2})?)?",
     re.IGNORECASE,
 )
 """A date with the year last, and perhaps a time of day."""
@@ -52,6 +53,21 @@ _CLOCK: Final = re.compile(
 )
 """A duration or a time of day: perhaps days, then two or three numbers."""
 _DAY: Final = 86400.0
+_COLON_FRACTION: Final = re.compile(r"(:\d{2}:\d{2}):(\d{1,6})$")
+"""Milliseconds behind a colon."""
+_MONTHS: Final = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
+_WEEKDAY: Final = r"(?:[A-Za-z]{3,9},?\s+)?"
+_MONTH: Final = r"(?P<month>[A-Za-z]{3})[a-z]*\.?"
+_DAY_AND_NAME: Final = re.compile(
+    rf"{_WEEKDAY}(?P<day>\d{{1,2}})[-\s]+{_MONTH}[-\s,]+(?P<year>\d{{4}})[\s,T]+(?P<clock>\d.*)"
+)
+_NAME_AND_DAY: Final = re.compile(
+    rf"{_WEEKDAY}{_MONTH}\s+(?P<day>\d{{1,2}}),?\s+(?P<year>\d{{4}}),?\s+(?P<clock>\d.*)"
+)
+_NAME_AND_YEAR_LAST: Final = re.compile(
+    rf"{_WEEKDAY}{_MONTH}\s+(?P<day>\d{{1,2}})\s+(?P<clock>\d[\d:.]*)\s+(?P<year>\d{{4}})"
+)
+"""Dates with the name of a month, in English."""
 
 
 def clock_seconds(text: str, unit_of_first: str = "") -> float | None:
@@ -94,14 +110,16 @@ def is_two_numbers(text: str) -> bool:
 def is_date(text: str) -> bool:
     """Whether a text is a date, with or without a time of day, or a time with three numbers."""
     plain = text.strip()
-    if not plain[:1].isdigit() or plain.isdigit():
+    if plain.isdigit() or not any(character.isdigit() for character in plain[:9]):
         return False
     return from_iso(plain) is not None or is_local(plain) or clock_seconds(plain, "h") is not None
 
 
 def from_iso(text: str) -> float | None:
     """Seconds since 1970 of a date of ISO 8601, as UTC without a time zone; None if the text is not one."""
-    plain = text.strip().replace("/", "-").replace(",", ".")
+    plain = _without_names(text.strip())
+    plain = plain.replace("/", "-").replace(",", ".")
+    plain = _COLON_FRACTION.sub(r"\1.\2", re.sub(r"\s*(UTC|GMT)$", "Z", plain))
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
     if dot:  # Python 3.10 accepts three or six decimals, loggers write any number
@@ -112,6 +130,16 @@ def from_iso(text: str) -> float | None:
     except ValueError:
         return None
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)).timestamp()
+
+
+def _without_names(text: str) -> str:
+    """A date with the name of its month, such as `01-Mar-2026 10:00:00`, as one of ISO 8601; others as is."""
+    for form in (_DAY_AND_NAME, _NAME_AND_DAY, _NAME_AND_YEAR_LAST):
+        match = form.fullmatch(text)
+        if match is not None and match["month"].lower() in _MONTHS:
+            month = _MONTHS.index(match["month"].lower()) + 1
+            return f"{match['year']}-{month:02d}-{int(match['day']):02d} {match['clock']}"
+    return text
 
 
 def is_local(text: str) -> bool:

@@ -24,6 +24,8 @@ _SEPARATORS: Final = ",;\t"
 _SEPARATOR_LINE: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
 """The line that names the separator for Excel."""
 _TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
+_LABELLED: Final = re.compile(r"[^:]*[^:\d\s][^:]*[:=]\s*[-+]?\d[\d.,]*\s*\S{0,5}")
+"""A value behind its name, as in `Temp:20.5`."""
 SPACES: Final = " "
 """Separator of tables whose cells have spaces between them, as many as the writer likes."""
 
@@ -121,6 +123,8 @@ def _has_names(cells: Sequence[str]) -> bool:
     filled = [cell for cell in cells if cell.strip()]
     if any(is_date(cell) for cell in filled):
         return False
+    if filled and all(_LABELLED.fullmatch(cell.strip()) for cell in filled):
+        return False
     is_value = [number(cell, ",") is not None or quantity_in(cell) is not None for cell in filled]
     if not is_value or all(is_value):
         return False
@@ -163,7 +167,7 @@ def with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], in
     or symbols, some are known units, and the second has numbers there.
     """
     below, next_line = cells
-    units = [cell.strip() for cell in below]
+    units = [cell.strip().removeprefix("(").removesuffix(")") for cell in below]
     filled = [k for k, unit in enumerate(units) if unit.lower() not in WORDS]
     is_unit = [bool(unit) and measure(unit).known for unit in units]
     if not any(is_unit) or any(_begins_as_number(units[k]) for k in filled):

@@ -33,6 +33,10 @@ _UNITS_SINCE_1970: Final = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (_SINCE_1970,
 _UNIT_AT_END: Final = re.compile(
     r".[ _.-](ns|us|ms|s|secs?|seconds?|min|mins|minutes?|h|hrs?|hours?|d|days?)$", re.I
 )
+_SHORT_UNIT: Final = re.compile(r"(ns|us|ms|sec|seconds?)", re.IGNORECASE)
+"""Units that are a title by themselves."""
+_WRITTEN_OUT: Final = {"millis": "ms", "micros": "us", "nanos": "ns"}
+"""Beginnings of units within a title, as in `millis()`."""
 _LIKELY_DAYS: Final = (36526.0, 73051.0)
 """Days since 1899-12-30 from the year 2000 on, to 2100."""
 _LONGEST_STEP: Final = 0.05
@@ -174,7 +178,11 @@ def _per_second(table: Table, title: str, unit: str) -> float:
 
 def unit_in(title: str) -> str:
     """The unit of time with which a title ends, as in `t_ms` or `elapsed hours`; empty without one."""
-    ending = _UNIT_AT_END.search(title.strip())
+    plain = title.strip()
+    for written, unit in _WRITTEN_OUT.items():
+        if written in plain.lower():
+            return unit
+    ending = _UNIT_AT_END.search(plain) or _SHORT_UNIT.fullmatch(plain)
     return ending[1].lower() if ending else ""
 
 
