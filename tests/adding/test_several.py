@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import shlex
 from pathlib import Path
@@ -9,14 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.plants import Lag
 from twinmatch.adding import check_plant, files_of, propose
+from twinmatch.adding.data import compare_structures
 from twinmatch.adding.several import propose_several
 from twinmatch.cli import main
+from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.table_files import open_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import TwinSettings
 
 
 def written(path: Path, columns: dict[str, FloatArray]) -> Path:
@@ -207,6 +212,20 @@ def test_rows_much_finer_than_the_plant_get_a_period_of_the_plant(tmp_path: Path
     assert note.startswith("The rows are 0.1 s apart, the plant's time constant is about")
 
 
+def test_structures_are_compared_where_the_plant_moves() -> None:
+    """A quarter of an hour at rest precedes the steps; more than two hours at 1 s are not compared."""
+    truth = Lag.model().parameters(gain=3.0, lag=8.0)
+    u = np.concatenate([np.zeros(7300), held([4, -2, 6, 0], 900, 60)])
+    run = simulate_driven(truth, u, states=begin(truth, 0.0), period=1.0)
+    y = run.output + 0.01 * np.random.default_rng(1).standard_normal(u.size)
+    window = Window(np.zeros(u.size), y, u, period=1.0)
+    compared = compare_structures([window], Lag, TwinSettings.of(Lag, period=1.0, law=None))
+    assert compared.notes[0] == "each structure fitted to 7200 of 8200 samples:"
+    # What the noise leaves; at rest alone the gain would stay where it begins, at 2.
+    gain, lag = (float(value) for value in re.findall(r"(?:gain|lag) = ([\d.]+)", compared.notes[1]))
+    assert (gain, lag) == pytest.approx((3.0, 8.0), rel=0.01)
+
+
 def test_a_short_stretch_is_left_out_with_a_note(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -224,4 +243,4 @@ def test_a_short_stretch_is_left_out_with_a_note(
     main(check)
     shown = capsys.readouterr().out
     assert "1 stretch is left out of the comparison: 61 samples, fewer than 90 each" in shown
-    assert "each structure fitted to the first 900 samples" in shown
+    assert "each structure fitted to 900 of 961 samples" in shown

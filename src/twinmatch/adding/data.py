@@ -300,6 +300,10 @@ class _Extent:
     """The shortest that is used beside a longer one."""
     part: float = 0.1
     """A stretch shorter than this share of the longest one is left out: it hardly tells more."""
+    places: int = 4
+    """Places per length at which a part of a longer stretch may begin."""
+    livelier: float = 1.5
+    """A part that moves by so much more is preferred to an earlier one."""
     total: int = 7200
     """All together at most: two hours at 1 s determine a structure, and longer fits take long."""
 
@@ -347,7 +351,8 @@ def _compared(
     except (FittingError, PlantError) as error:
         return Compared([], [f"the structures cannot be compared on this recording: {error}"], ())
     used = sum(len(window) for window in windows)
-    notes = [f"each structure fitted to {'all' if used == total else 'the first'} {used} samples:"]
+    extent = f"all {used}" if used == total else f"{used} of {total}"
+    notes = [f"each structure fitted to {extent} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
     least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
@@ -398,16 +403,35 @@ def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: L
 
 
 def _windows(without_gaps: Sequence[Window]) -> list[Window]:
-    """The stretches to which structures are fitted: the first ones that are long enough, up to a total."""
+    """The stretches to which structures are fitted: the first ones that are long enough, up to a total.
+
+    Of one that exceeds it, the part in which its outputs move most: at rest all structures are alike.
+    """
     least = _least_length(without_gaps)
     windows = []
     samples_left = _EXTENT.total
     for stretch in without_gaps:
         count = min(samples_left, len(stretch))
         if count >= least:
-            windows.append(stretch.part(stretch.first, stretch.first + count - 1))
+            first = stretch.first + _liveliest_part(stretch.outputs, count)
+            windows.append(stretch.part(first, first + count - 1))
             samples_left -= count
     return windows
+
+
+def _liveliest_part(outputs: FloatArray, count: int) -> int:
+    """Where to begin so that the outputs, shape (N, o), move most within `count` samples."""
+    scales = np.std(outputs, axis=0)
+    scales[scales == 0.0] = 1.0
+    best = 0
+    most = -math.inf
+    last = len(outputs) - count
+    for begin in (*range(0, last, max(count // _EXTENT.places, 1)), last):
+        movement = float(np.sum(np.std(outputs[begin : begin + count], axis=0) / scales))
+        if movement > _EXTENT.livelier * most or begin == 0:
+            best = begin
+            most = movement
+    return best
 
 
 def _least_length(without_gaps: Sequence[Window]) -> float:
