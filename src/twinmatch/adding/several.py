@@ -7,7 +7,7 @@ disturbances), by least squares over blocks of samples long enough to move furth
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -97,41 +97,34 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
     Raises:
         RecordingError: an output or an input is missing, or the table cannot be used.
     """
-    names = list(signal_map.sources)
-    output_names = [name for name in names if is_signal(name, "output")] or ["output"]
-    input_names = [name for name in names if is_signal(name, "input")] or ["input"]
-    require_columns(table, signal_map, (*output_names, *input_names))
-    others = {"time", *output_names, *input_names, *(name for name in names if is_signal(name, "reference"))}
-    disturbance_names = [name for name in names if name not in others]
+    names = _Names.of(signal_map)
+    require_columns(table, signal_map, (*names.outputs, *names.inputs))
     sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
     times = times_of(table, sources.get("time"), signal_map.period)
     resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
     names_in_file: list[str] = []
     inputs = []
-    for name in input_names:
+    for name in names.inputs:
+        unit = unit_of(table, sources, name)
         limits = range_of(signal_values(table, sources, name))
-        inputs.append(
-            Signal(signal_name(sources, name, names_in_file), unit_of(table, sources, name), *limits)
-        )
+        inputs.append(Signal(signal_name(sources, name, names_in_file), unit, *limits))
     disturbances = {}
-    for name in disturbance_names:
+    for name in names.disturbances:
+        unit = unit_of(table, sources, name)
         values = resampled.columns[name]
         bounds = (float(values.min()), float(values.max()))
-        disturbances[name] = Signal(word(name, names_in_file), unit_of(table, sources, name), *bounds)
-    stretch = max(resampled.stretches, key=lambda part: part.stop - part.start)
-    moving = [resampled.columns[name][stretch] for name in (*input_names, *disturbance_names)]
+        disturbances[name] = Signal(word(name, names_in_file), unit, *bounds)
+    longest_stretch = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
+    columns = {name: column[longest_stretch] for name, column in resampled.columns.items()}
+    moving = [columns[name] for name in (*names.inputs, *names.disturbances)]
     outputs = []
-    for name in output_names:
+    for name in names.outputs:
         unit = unit_of(table, sources, name)
         signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
-        around = None
-        for disturbance_name, disturbance in disturbances.items():
-            if around is None and alike(disturbance.unit, unit):
-                around = _Around(disturbance, resampled.columns[disturbance_name][stretch])
-        reading = resampled.columns[name][stretch]
-        outputs.append(_lagged(signal, reading, moving, inputs, period=resampled.period, around=around))
-    slowest = max(output.lag for output in outputs)
-    period = signal_map.period or usual_period(min(output.lag for output in outputs), resampled.period)
+        around = _around(unit, disturbances, columns)
+        outputs.append(_lagged(signal, columns[name], moving, inputs, period=resampled.period, around=around))
+    fastest = min(output.lag for output in outputs)
+    period = signal_map.period or usual_period(fastest, resampled.period)
     return SeveralProposal(
         outputs=tuple(outputs),
         inputs=tuple(inputs),
@@ -145,9 +138,37 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
             *table.notes,
             *notes_on_readings(table, sources),
             *notes_on_times(table, sources.get("time"), times),
-            *note_on_period(slowest, resampled.period, period),
+            *note_on_period(fastest, resampled.period, period),
         ),
     )
+
+
+class _Names(NamedTuple):
+    """The names in a map by what they are."""
+
+    outputs: list[str]
+    inputs: list[str]
+    disturbances: list[str]
+
+    @classmethod
+    def of(cls, signal_map: SignalMap) -> _Names:
+        """Those of a map; an output and an input are needed, whether it has them or not."""
+        names = list(signal_map.sources)
+        outputs = [name for name in names if is_signal(name, "output")] or ["output"]
+        inputs = [name for name in names if is_signal(name, "input")] or ["input"]
+        references = [name for name in names if is_signal(name, "reference")]
+        others = {"time", *outputs, *inputs, *references}
+        return cls(outputs, inputs, [name for name in names if name not in others])
+
+
+def _around(
+    unit: str, disturbances: Mapping[str, Signal], columns: Mapping[str, FloatArray]
+) -> _Around | None:
+    """The first disturbance of the kind of an output with this unit; None without one."""
+    for name, disturbance in disturbances.items():
+        if alike(disturbance.unit, unit):
+            return _Around(disturbance, columns[name])
+    return None
 
 
 def _by_names_in_file(signal_map: SignalMap, disturbances: dict[str, Signal]) -> dict[str, SignalSource]:

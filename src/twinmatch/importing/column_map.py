@@ -309,21 +309,30 @@ def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource])
         return {}
     used = {title for source in sources.values() for title in source.places}
     free = [c for c in columns if c.title not in used and not _REFERENCE.search(c.short_name)]
-    inputs = [c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in _of_units(free)]
-    outputs = [sources["output"]]
-    drives = [sources["input"]]
-    for column in _named(free, _OUTPUT, ("numbers",)) + _of_units(free):
-        partner = next((c for c in inputs if share_a_word(c.short_name, column.short_name)), None)
-        if partner is not None and column not in inputs and column.title not in used:
-            outputs.append(SignalSource((column.title,)))
-            drives.append(SignalSource((partner.title,)))
-            used.add(column.title)
-            inputs.remove(partner)
-    if len(outputs) == 1:
+    measured = _of_units(free)
+    drives = [c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in measured]
+    outputs = [c for c in _named(free, _OUTPUT, ("numbers",)) if c not in drives and c not in measured]
+    pairs = _paired([*outputs, *measured], drives)
+    if not pairs:
         return {}
     several = {name: source for name, source in sources.items() if name in ("time", "room")}
-    several |= {f"output.{number}": source for number, source in enumerate(outputs, 1)}
-    return several | {f"input.{number}": source for number, source in enumerate(drives, 1)}
+    several |= {"output.1": sources["output"], "input.1": sources["input"]}
+    for number, (output, drive) in enumerate(pairs, 2):
+        several[f"output.{number}"] = SignalSource((output.title,))
+        several[f"input.{number}"] = SignalSource((drive.title,))
+    return several
+
+
+def _paired(outputs: Sequence[Column], drives: Sequence[Column]) -> list[tuple[Column, Column]]:
+    """Each output with the first drive of the same thing that no other output has."""
+    pairs: list[tuple[Column, Column]] = []
+    for output in outputs:
+        taken = [drive for _, drive in pairs]
+        for drive in drives:
+            if drive not in taken and share_a_word(drive.short_name, output.short_name):
+                pairs.append((output, drive))
+                break
+    return pairs
 
 
 def _add_inputs(columns: Sequence[Column], chosen: dict[str, Column], table: Table) -> None:
