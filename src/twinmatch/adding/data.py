@@ -441,10 +441,10 @@ def _least_length(without_gaps: Sequence[Window]) -> float:
 
 
 def _note_on_short(without_gaps: Sequence[Window]) -> list[str]:
-    """A note on stretches that are too short to be compared."""
+    """A note on stretches that are too short to be compared beside others."""
     least = _least_length(without_gaps)
     short = [len(stretch) for stretch in without_gaps if len(stretch) < least]
-    if not short:
+    if not short or len(short) == len(without_gaps):
         return []
     stretches_are = "1 stretch is" if len(short) == 1 else f"{len(short)} stretches are"
     return [f"{stretches_are} left out of the comparison: {sum(short)} samples, fewer than {least:.0f} each"]
