@@ -97,7 +97,7 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
     Raises:
         RecordingError: an output or an input is missing, or the table cannot be used.
     """
-    names = _Names.of(signal_map)
+    names = _NamesByRole.of(signal_map)
     require_columns(table, signal_map, (*names.outputs, *names.inputs))
     sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
     times = times_of(table, sources.get("time"), signal_map.period)
@@ -143,7 +143,7 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
     )
 
 
-class _Names(NamedTuple):
+class _NamesByRole(NamedTuple):
     """The names in a map by what they are."""
 
     outputs: list[str]
@@ -151,7 +151,7 @@ class _Names(NamedTuple):
     disturbances: list[str]
 
     @classmethod
-    def of(cls, signal_map: SignalMap) -> _Names:
+    def of(cls, signal_map: SignalMap) -> _NamesByRole:
         """Those of a map; an output and an input are needed, whether it has them or not."""
         names = list(signal_map.sources)
         outputs = [name for name in names if is_signal(name, "output")] or ["output"]
