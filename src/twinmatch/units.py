@@ -52,6 +52,10 @@ _POWER = re.compile(
 _POWER_WORD = re.compile(r"\b(?:sq|square|squared|cubic|cubed)\b", re.IGNORECASE)
 _RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
 _LOWERED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_QUANTITY = re.compile(
+    r"(?P<number>[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>(?:[^\W\d_]|[°%℃℉])[^:]{0,20})"
+)
+"""A number, and what may be its unit."""
 _FAR = 2.0**20
 """Value at which the slope of a conversion is computed: large, so that rounding of offsets is negligible."""
 _TEMPERATURE = (("[temperature]", 1.0),)
@@ -79,6 +83,28 @@ class Measure(NamedTuple):
     """False for an unknown unit, which counts as a plain number."""
     offset: bool = False
     """Whether its zero differs from the quantity's (°C, °F)."""
+
+
+class NumberWithUnit(NamedTuple):
+    """A number with its unit."""
+
+    number: float
+    unit: str
+
+
+@lru_cache(maxsize=4096)
+def quantity_in(text: str) -> NumberWithUnit | None:
+    """The number and the unit in a text such as `17.99 °C`, `0%` or `21,5 W`; None for any other text.
+
+    A comma is a decimal one; with three digits behind it, it may separate thousands: then None.
+    """
+    match = _QUANTITY.fullmatch(text.strip())
+    if match is None or re.search(r",\d{3}$", match["number"]):
+        return None
+    unit = match["unit"].strip()
+    if not measure(unit).known:
+        return None
+    return NumberWithUnit(float(match["number"].replace(",", ".")), unit)
 
 
 def is_readable(unit: str) -> bool:

@@ -146,6 +146,16 @@ def test_gain_and_lag_are_in_reach_of_the_truth(
     assert proposal.output.high > 20 + gain * 100
 
 
+def test_what_nothing_can_have_measured_makes_no_number_of_the_file(tmp_path: Path) -> None:
+    room = np.full(1000, 19.0)
+    room[500:599] = -8000.0
+    path = lagged(tmp_path, 0.5, 30.0, 1.0, room)
+    proposal = propose(read_table(path), parse_map([*MAP, "room=Room"]))
+    (disturbance,) = proposal.disturbances
+    assert (disturbance.low, disturbance.high) == (19.0, 19.0)
+    assert any("room is below absolute zero in 99 rows" in note for note in proposal.notes)
+
+
 def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no column is mapped to input"):
         propose(read_table(lagged(tmp_path, 1.0, 20.0, 1.0)), parse_map(MAP[:2]))

@@ -5,13 +5,17 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.support.plants import Lag
 from tests.support.rooms import PERIOD, SETTINGS, Room, judged_room, recorded_room
 from twinmatch.adding.data import compare_structures
+from twinmatch.dynamics import Parameters
 from twinmatch.fitting import fit_structure
+from twinmatch.fitting.lacks import lack_of
 from twinmatch.plants import find_plant
 
 
@@ -54,3 +58,30 @@ def test_the_lines_that_are_shown_are_the_second_store(tmp_path: Path) -> None:
     assert window.period == PERIOD
     # White noise of the declared size: within three standard errors of 500 samples.
     assert float((residuals**2).mean()) == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_lines_import_what_they_use() -> None:
+    """Of every effect: the fit is a stand-in that prefers it, since only the lines are looked at."""
+    base = Lag.model().parameters()
+    lines_of: dict[str, tuple[str, ...]] = {}
+
+    def prefer(free: tuple[str, ...], start: Parameters) -> tuple[Parameters, float]:
+        return start, 1.0 if start.model.structure.free == free else 100.0
+
+    seen: list[tuple[str, ...]] = []
+
+    def remember(start: Parameters) -> None:
+        seen.append(start.model.structure.free)
+
+    assert lack_of(base, 1.0, 100.0, 100.0, remember) is None
+    for free in set(seen):
+        lack = lack_of(base, 1.0, 100.0, 100.0, partial(prefer, free))
+        assert lack is not None
+        lines_of[lack.what] = lack.lines
+    names = ("DeadTime", "Parameter", "State", "dry_friction", "replace")
+    for what, lines in lines_of.items():
+        text = "\n".join(line for line in lines if not line.startswith("from "))
+        imported = " ".join(line.partition(" import ")[2] for line in lines if line.startswith("from "))
+        used = {name for name in names if re.search(rf"\b{name}\(", text)}
+        assert used == set(re.findall(r"\w+", imported)), what
+    assert any("replace" in "".join(lines) for lines in lines_of.values())

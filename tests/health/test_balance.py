@@ -152,7 +152,7 @@ def test_a_sensor_is_watched_before_anything_is_matched() -> None:
             "off",
             Fault.SENSOR_IMPLAUSIBLE,
             0.0,
-            "V and set-point 60 rad/s, which is impossible: look at the sensor",
+            "V, which is impossible: look at the sensor",
         ),
     ],
 )

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.importing import resample
+from twinmatch.importing.dates import DAY_FIRST, MONTH_FIRST, in_order, order_of
 from twinmatch.importing.tables import read_table
-from twinmatch.importing.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
+from twinmatch.importing.times import read_times
 from twinmatch.sessions.files import RecordingError
 
 

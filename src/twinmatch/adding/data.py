@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
-from twinmatch.dynamics import Law, Parameters, Plant, PlantError, commands_of
+from twinmatch.dynamics import Law, Model, Parameters, Plant, PlantError, commands_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, in_parts
 from twinmatch.fitting.gate import Status
@@ -28,10 +28,11 @@ from twinmatch.importing import open_any
 from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.resampling import Gaps
+from twinmatch.importing.table_files import open_table
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.separation import inseparable_in
-from twinmatch.sampling.sources import TIME, SignalMap
+from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.showing.series import root_mean_square
@@ -81,19 +82,25 @@ def data_for(
     signal_map: SignalMap,
     period: float | None = None,
     progress: ProgressCallback | None = None,
+    *,
+    longest: float | None = None,
+    gaps: Gaps = "refuse",
 ) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
     the signals, and a sampling period, s, unless it has times.
 
-    `progress` is called with how much has been read, and of how much.
+    `progress` is called with how much has been read, and of how much; `longest` and `gaps` are those of
+    `map_samples`.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
-        table = read_table(path, progress)
+        table = open_table(path, progress)
         table, signal_map = with_derived(table, signal_map)
         full_map = with_plant_names(table, plant, signal_map)
-        full_map = full_map if TIME in full_map.sources else full_map.joined(SignalMap(period=period))
-        imported = map_samples(table, full_map, plant)
-        return session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
+        imported = map_samples(
+            table, full_map.joined(SignalMap(period=period)), plant, longest=longest, gaps=gaps
+        )
+        session = session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
+        return replace(session, missing=imported.notes)
     return open_any(path, plant=plant.name, progress=progress)
 
 
@@ -132,13 +139,13 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
 def _check_fits(session: Session, plant: type[Plant], show: Shown) -> CheckedPlant:
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
-    windows = [
-        part for w in _windows(stretches(session.samples, session.period)) for part in in_parts(plant, w)
-    ]
+    without_gaps = stretches(session.samples, session.period)
+    windows = [part for window in _windows(without_gaps) for part in in_parts(plant, window)]
     compared = _compared(windows, plant, size, noise=Noise.of(plant), law=None)
     findings, notes = _of_samples(session, plant, plant.model().parameters(), compared.least)
     findings += [*compared.findings, *_of_what_is_left(compared.least, plant)]
-    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), (*notes, *compared.notes))
+    notes += [*_note_on_short(without_gaps), *compared.notes]
+    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
 def _of_samples(
@@ -296,8 +303,16 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
 class _Extent:
     """Stretches of a recording to which structures are fitted, in samples."""
 
-    shortest: int = 60
-    """The shortest that is used."""
+    least: int = 63
+    """The shortest that can be fitted: the first 62 samples are not counted."""
+    shortest: int = 80
+    """The shortest that is used beside a longer one."""
+    part: float = 0.1
+    """A stretch shorter than this share of the longest one is left out: it hardly tells more."""
+    places: int = 4
+    """Places per length at which a part of a longer stretch may begin."""
+    livelier: float = 1.5
+    """A part that moves by so much more is preferred to an earlier one."""
     total: int = 7200
     """All together at most: two hours at 1 s determine a structure, and longer fits take long."""
 
@@ -323,7 +338,8 @@ def compare_structures(
     windows = _windows(without_gaps)
     total = sum(map(len, without_gaps))
     first = settings.start.model.structure_name
-    return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
+    compared = _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
+    return compared._replace(notes=[*_note_on_short(without_gaps), *compared.notes])
 
 
 def _compared(
@@ -344,7 +360,8 @@ def _compared(
     except (FittingError, PlantError) as error:
         return Compared([], [f"the structures cannot be compared on this recording: {error}"], ())
     used = sum(len(window) for window in windows)
-    notes = [f"each structure fitted to {'all' if used == total else 'the first'} {used} samples:"]
+    extent = f"all {used}" if used == total else f"{used} of {total}"
+    notes = [f"each structure fitted to {extent} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
     least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
@@ -355,11 +372,24 @@ def _compared(
         problem = f"the recording supports the structure {chosen!r} rather than {first!r}"
         todo = "put it first in `structures`: single windows are matched with the first one"
         findings.append(Finding(problem, todo))
-    if lack := _lack(choice.score, windows, noise, law):
+    lack = _lack(choice.score, windows, noise, law)
+    if lack is not None and _is_chosen(lack.model, models, windows, noise, law):
         problem = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
         findings.append(Finding(problem, "add the lines above to the plant file"))
         notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
     return Compared(findings, notes, least)
+
+
+def _is_chosen(
+    grown: Model, models: Sequence[Model], windows: Sequence[Window], noise: Noise, law: Law | None
+) -> bool:
+    """Whether a plant with an effect added is chosen beside the structures of the file."""
+    others = [model for model in models if model.structure_name != grown.structure_name]
+    try:
+        choice = choose_structure(windows, [*others, grown], noise=noise, law=law)
+    except (FittingError, PlantError):
+        return False
+    return choice.chosen == grown.structure_name
 
 
 def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None) -> Lack | None:
@@ -382,14 +412,51 @@ def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: L
 
 
 def _windows(without_gaps: Sequence[Window]) -> list[Window]:
+    """The stretches to which structures are fitted: the first ones that are long enough, up to a total.
+
+    Of one that exceeds it, the part in which its outputs move most: at rest all structures are alike.
+    """
+    least = _least_length(without_gaps)
     windows = []
     samples_left = _EXTENT.total
     for stretch in without_gaps:
         count = min(samples_left, len(stretch))
-        if count >= _EXTENT.shortest:
-            windows.append(stretch.part(stretch.first, stretch.first + count - 1))
+        if count >= least:
+            first = stretch.first + _liveliest_part(stretch.outputs, count)
+            windows.append(stretch.part(first, first + count - 1))
             samples_left -= count
     return windows
+
+
+def _liveliest_part(outputs: FloatArray, count: int) -> int:
+    """Where to begin so that the outputs, shape (N, o), move most within `count` samples."""
+    scales = np.std(outputs, axis=0)
+    scales[scales == 0.0] = 1.0
+    best = 0
+    most = -math.inf
+    last = len(outputs) - count
+    for begin in (*range(0, last, max(count // _EXTENT.places, 1)), last):
+        movement = float(np.sum(np.std(outputs[begin : begin + count], axis=0) / scales))
+        if movement > _EXTENT.livelier * most or begin == 0:
+            best = begin
+            most = movement
+    return best
+
+
+def _least_length(without_gaps: Sequence[Window]) -> float:
+    """Samples of the shortest stretch that is used."""
+    longest = max(map(len, without_gaps), default=0)
+    return max(min(_EXTENT.shortest, longest), _EXTENT.part * longest, _EXTENT.least)
+
+
+def _note_on_short(without_gaps: Sequence[Window]) -> list[str]:
+    """A note on stretches that are too short to be compared beside others."""
+    least = _least_length(without_gaps)
+    short = [len(stretch) for stretch in without_gaps if len(stretch) < least]
+    if not short or len(short) == len(without_gaps):
+        return []
+    stretches_are = "1 stretch is" if len(short) == 1 else f"{len(short)} stretches are"
+    return [f"{stretches_are} left out of the comparison: {sum(short)} samples, fewer than {least:.0f} each"]
 
 
 def _line(score: StructureScore, plant: type[Plant]) -> str:

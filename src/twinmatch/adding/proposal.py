@@ -19,9 +19,27 @@ import numpy as np
 from twinmatch.adding.held_input import begun_at_rest, is_held
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
-from twinmatch.importing.mapped import require_columns, times_of, with_titles
-from twinmatch.importing.resampling import Kind, Resampled, complete_rows, repeated, resample
+from twinmatch.importing.mapped import (
+    in_rows,
+    notes_on_impossible,
+    notes_on_times,
+    require_columns,
+    times_of,
+    with_titles,
+    without_impossible,
+    without_marks,
+)
+from twinmatch.importing.resampling import (
+    Kind,
+    Resampled,
+    complete_rows,
+    repeated,
+    resample,
+    second_pace,
+    usual_period,
+)
 from twinmatch.importing.tables import Table, split_title
+from twinmatch.importing.times import Times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
@@ -51,6 +69,8 @@ _ROLES: Final = {"output": "measured", "input": "drive"}
 """Names of these signals where the table calls them by the name of another one, as PID libraries do."""
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
 """Usual ranges of a drive's command."""
+_BEYOND: Final = 0.05
+"""A command may go beyond a usual range by this share of it, as that of a controller without limits does."""
 _OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
 
 
@@ -93,6 +113,10 @@ class Proposal:
     """Whether nothing is recorded, so that the lag is what its owner says."""
     split: bool = False
     """Whether the table has gaps, or a clock that was set back."""
+    bridge: float | None = None
+    """Longest step between rows that is to be interpolated, s; None: the usual one."""
+    notes: tuple[str, ...] = ()
+    """Sentences on how the table was read, for the user."""
 
     @property
     def thermal(self) -> bool:
@@ -102,10 +126,15 @@ class Proposal:
     @property
     def around(self) -> Signal | None:
         """The disturbance that the output tends to without input: the first one of the output's kind."""
-        return next((d for d in self.disturbances if _alike(d.unit, self.output.unit)), None)
+        return next((d for d in self.disturbances if alike(d.unit, self.output.unit)), None)
 
 
-def _alike(first: str, second: str) -> bool:
+def is_signal(name: str, role: str) -> bool:
+    """Whether a name in a map is that of an output, an input or a reference, such as `input` or `input.2`."""
+    return re.fullmatch(rf"{role}(\.\d+)?", name) is not None
+
+
+def alike(first: str, second: str) -> bool:
     """Whether two units measure the same quantity."""
     return measure(first).dimension == measure(second).dimension
 
@@ -125,70 +154,106 @@ def example() -> Proposal:
     )
 
 
-def propose(table: Table, signal_map: SignalMap) -> Proposal:
+def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None) -> Proposal:
     """Estimate the numbers for a first plant file from a table.
 
     Args:
         table: the table.
         signal_map: columns of time, output and input; every other name is a disturbance.
+        longest: longest step between rows that is interpolated, s; judged by the rows if not given.
     """
     require_columns(table, signal_map)
     sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
-    resampled = _resampled(table, sources, signal_map.period)
+    times = times_of(table, sources.get("time"), signal_map.period)
+    resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
     disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
-    drive = resampled.columns["input"]
     noise, model = _estimated(resampled, disturbance_names)
-    output_unit = _unit(table, sources, "output")
-    around = next((n for n in disturbance_names if _alike(_unit(table, sources, n), output_unit)), None)
+    output_unit = unit_of(table, sources, "output")
+    around = next((n for n in disturbance_names if alike(unit_of(table, sources, n), output_unit)), None)
     if around is not None:
         model = model._replace(rest=float(resampled.columns[around].mean()))
-    drive_range = _range_of(drive)
+    drive_range = range_of(signal_values(table, sources, "input"))
     names_in_file: list[str] = []
-    output_name = _signal_name(sources, "output", names_in_file)
-    input_name = _signal_name(sources, "input", names_in_file)
+    output_name = signal_name(sources, "output", names_in_file)
+    input_name = signal_name(sources, "input", names_in_file)
     disturbances = {}
     for name in disturbance_names:
         values = resampled.columns[name]
-        unit = _unit(table, sources, name)
-        disturbances[name] = Signal(
-            _word(name, names_in_file), unit, float(values.min()), float(values.max())
-        )
+        unit = unit_of(table, sources, name)
+        disturbances[name] = Signal(word(name, names_in_file), unit, float(values.min()), float(values.max()))
+    period = signal_map.period or usual_period(model.lag, resampled.period)
     plant_names = {name: disturbance.name for name, disturbance in disturbances.items()}
     return Proposal(
         output=Signal(output_name, output_unit, *_output_range(reading, drive_range, model)),
-        input=Signal(input_name, _unit(table, sources, "input"), *drive_range),
+        input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,
-        period=resampled.period,
+        period=period,
         gain=model.gain,
         lag=model.lag,
         rest=model.rest,
         sources={plant_names.get(signal, signal): source for signal, source in signal_map.sources.items()},
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
-        held=not disturbance_names and is_held(drive),
+        held=not disturbance_names and is_held(resampled.columns["input"]),
         split=bool(resampled.gaps),
+        bridge=bridge,
+        notes=(
+            *table.notes,
+            *notes_on_readings(table, sources),
+            *notes_on_times(table, sources.get("time"), times),
+            *note_on_period(model.lag, resampled.period, period),
+        ),
     )
 
 
-def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float | None) -> Resampled:
-    """All signals on one clock, from the rows that have all of them.
+def note_on_period(lag: float, row_period: float, period: float) -> list[str]:
+    """A note where the sampling period is not that of the rows, or should not be."""
+    wanted = usual_period(lag, row_period)
+    if wanted == row_period:
+        return []
+    rows = f"The rows are {row_period:g} s apart, the plant's time constant is about {lag:.3g} s"
+    if period == row_period:
+        return [f"{rows}: --period {wanted:g} would do, and make windows long enough."]
+    return [f"{rows}: a period of {period:g} s is written; --period gives another."]
+
+
+def on_one_clock(
+    table: Table,
+    sources: Mapping[str, SignalSource],
+    times: Times,
+    period: float | None,
+    longest: float | None,
+) -> tuple[Resampled, float | None]:
+    """All signals on one clock, from the rows that have all of them, and the longest step that is bridged, s.
 
     Raises:
         RecordingError: the rows cannot be resampled, or values are too large for squares.
     """
-    signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
-    times = times_of(table, sources.get("time"), period)
+    names = sorted(
+        (name for name in sources if name != "time"), key=lambda name: not is_signal(name, "output")
+    )
+    kinds: dict[str, Kind] = dict.fromkeys(names, "reading")
+    for name in names:
+        if is_signal(name, "input"):
+            kinds[name] = "held"
+        elif is_signal(name, "reference"):
+            kinds[name] = "set"
+    table, times = in_rows(table, sources, kinds, times)
+    signals = {name: signal_values(table, sources, name) for name in names}
     columns = (times.seconds, *signals.values())
     rows = complete_rows(*columns)
+    if rows.size < 2:
+        raise RecordingError(f"{table.path}: fewer than two rows have a value of {', '.join(names)}")
     rows = np.setdiff1d(rows, repeated(rows, *columns))
-    kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
+    bridge = second_pace(times.seconds[rows]) if longest is None else longest
     resampled = resample(
         times.seconds[rows],
         {name: values[rows] for name, values in signals.items()},
         kinds,
         period,
+        longest=bridge,
         gaps="split",
         place=str(table.path),
         row=lambda i: table.row_name(int(rows[i])),
@@ -197,7 +262,7 @@ def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float 
         largest = np.abs(values).max()
         if not largest < _MOST:
             raise RecordingError(f"{table.path}: {name} reaches {largest:g}; correct its values")
-    return resampled
+    return resampled, bridge
 
 
 class _FirstOrder(NamedTuple):
@@ -217,10 +282,10 @@ def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float
     drive = resampled.columns["input"][longest]
     disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
     noise = noise_of(reading, [drive, *disturbance_columns])
-    without_spikes = _without_spikes(reading, noise)
-    model = _first_order(without_spikes, drive, disturbance_columns, noise, resampled.period)
+    free_of_spikes = without_spikes(reading, noise)
+    model = _first_order(free_of_spikes, drive, disturbance_columns, noise, resampled.period)
     if not disturbances and is_held(drive):
-        model = _begun_at_rest(without_spikes, drive, model)
+        model = _begun_at_rest(free_of_spikes, drive, model)
     return noise, model
 
 
@@ -240,32 +305,49 @@ def _output_range(
     steady = [model.rest, *(model.rest + model.gain * limit for limit in drive_range)]
     low = min(float(reading.min()), *steady)
     high = max(float(reading.max()), *steady)
-    return _round_out(low - span, high + span)
+    return round_out(low - span, high + span)
 
 
-def _values(table: Table, source: SignalSource) -> FloatArray:
-    """The mean of the columns, in their unit, shape (N,)."""
-    columns = [source.scale * table.values(title) + source.offset for title in source.places]
-    return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
+def signal_values(table: Table, sources: Mapping[str, SignalSource], signal: str) -> FloatArray:
+    """The mean of the columns of a signal, in their unit, shape (N,); nan where there is no reading."""
+    source = sources[signal]
+    columns = [source.scale * without_marks(table.values(title)) + source.offset for title in source.places]
+    mean = np.asarray(np.mean(columns, axis=0), dtype=np.float64)
+    return without_impossible(mean, unit_of(table, sources, signal))
 
 
-def _signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]) -> str:
+def notes_on_readings(table: Table, sources: Mapping[str, SignalSource]) -> list[str]:
+    """Notes on columns with values below absolute zero."""
+    notes: list[str] = []
+    for signal, source in sources.items():
+        if signal != "time":
+            unit = unit_of(table, sources, signal)
+            for title in source.places:
+                values = without_marks(table.values(title))
+                scaled = source.scale * values + source.offset
+                notes += notes_on_impossible(table, signal, values, without_impossible(scaled, unit))
+    return notes
+
+
+def signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]) -> str:
     """A name after the signal's column."""
     title, _ = split_title(sources[signal].places[0])
-    if title.lower() in _KNOWN and title.lower() != signal:
-        title = _ROLES[signal]
+    role = signal.partition(".")[0]
+    if title.lower() in _KNOWN and title.lower() != role:
+        title = _ROLES[role]
     has_a_word = re.search(r"[a-zA-Z]{3}", title)
-    return _word(title if has_a_word else signal, names_in_file)
+    return word(title if has_a_word else signal, names_in_file)
 
 
-def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
+def unit_of(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
+    """The unit of a signal by its map or its title; empty without one that can be read."""
     source = sources[signal]
     unit = source.unit or table.unit(source.places[0])
     unit = _OFFSET_UNITS.get(unit.lower(), unit)
     return unit if is_readable(unit) else ""
 
 
-def _word(title: str, names_in_file: list[str]) -> str:
+def word(title: str, names_in_file: list[str]) -> str:
     """A valid Python name that does not yet occur in the file."""
     text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())  # as Python reads names
     plain = "".join(c if f"_{c}".isidentifier() else " " for c in text)
@@ -279,13 +361,23 @@ def _word(title: str, names_in_file: list[str]) -> str:
     return plain
 
 
-def _range_of(values: FloatArray) -> tuple[float, float]:
-    low = float(values.min())
-    high = float(values.max())
+def range_of(values: FloatArray) -> tuple[float, float]:
+    """A usual range, widened a little where the values go beyond it; otherwise round numbers around them.
+
+    `values` has shape (N,), nan without one.
+    """
+    low = float(np.nanmin(values))
+    high = float(np.nanmax(values))
     for least, most in _RANGES:
-        if least <= low and high <= most and high > 0.2 * most:
-            return least, most
-    return _round_out(low, high) if high > low else (low - 1.0, high + 1.0)
+        slack = _BEYOND * (most - least)
+        if (
+            least - slack <= low
+            and high <= most + slack
+            and high > 0.2 * most
+            and (low >= 0.0 or least < 0.0)
+        ):
+            return min(least, low), max(most, high)
+    return round_out(low, high) if high > low else (low - 1.0, high + 1.0)
 
 
 def _first_order(
@@ -327,7 +419,7 @@ def _rounded_model(gain: float, lag: float, rest: float) -> _FirstOrder:
     return _FirstOrder(rounded(gain), rounded(lag), rounded(rest, 3))
 
 
-def _without_spikes(values: FloatArray, noise: float) -> FloatArray:
+def without_spikes(values: FloatArray, noise: float) -> FloatArray:
     """Readings with the median of five neighbours where one is far from it."""
     from scipy.ndimage import median_filter  # noqa: PLC0415 (slow to import, used only here)
 
@@ -340,7 +432,7 @@ def rounded(value: float, digits: int = 2) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _round_out(low: float, high: float) -> tuple[float, float]:
+def round_out(low: float, high: float) -> tuple[float, float]:
     """Round numbers just outside the range."""
     step = 10.0 ** math.floor(math.log10((high - low) / 2)) if high > low else 1.0
     return math.floor(low / step) * step, math.ceil(high / step) * step

@@ -13,6 +13,7 @@ import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from twinmatch.adding.proposal import Proposal, rounded
+from twinmatch.adding.several import LaggedOutput, SeveralProposal
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
@@ -31,7 +32,7 @@ _TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Pl
 _ABSOLUTE: Final = {"°C": 273.15}
 
 
-def files_of(name: str, proposal: Proposal) -> dict[str, str]:
+def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
     """The texts of the files by file name."""
     _require_name(name)
     # The output is Python and YAML, which need no HTML escaping.
@@ -40,10 +41,18 @@ def files_of(name: str, proposal: Proposal) -> dict[str, str]:
     )
     pages.filters["text"] = _quote
     table = re.sub(r"[^\w .()+-]", "_", proposal.table)  # stands in comments
-    words = {"name": name, "table": table, **_plant(name, proposal)}
+    words = {"name": name, "table": table}
+    if isinstance(proposal, SeveralProposal):
+        words |= _several(name, proposal)
+        plant_text = pages.get_template("plants.jinja").render(words)
+        test_text = pages.get_template("tests.jinja").render(words | _test_of_several(proposal))
+    else:
+        words |= _plant(name, proposal)
+        plant_text = pages.get_template("plant.jinja").render(words)
+        test_text = pages.get_template("test.jinja").render(words | _test(proposal))
     files = {
-        f"{name}.py": pages.get_template("plant.jinja").render(words),
-        f"test_{name}.py": pages.get_template("test.jinja").render(words | _test(proposal)),
+        f"{name}.py": plant_text,
+        f"test_{name}.py": test_text,
         f"{name}.yaml": pages.get_template("config.jinja").render(name=name, period=proposal.period),
     }
     if proposal.sources:
@@ -71,7 +80,6 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
     y = proposal.output
     u = proposal.input
     around = proposal.around
-    title = "".join(part.capitalize() for part in name.split("_"))
     free = ["gain", "lag", *([] if around else ["rest"])]
     low, high = sorted((proposal.gain / _WIDE, proposal.gain * _WIDE))
     middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
@@ -87,7 +95,7 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "bend_most": rounded(1.0 / (y.high - y.low)),
         "bend_unit": _per("1", "K" if y.unit in {"°C", "°F"} else y.unit) if y.unit else "1",
         "rest": proposal.rest,
-        "title": f"{title}Plant" if title in _TAKEN else title,
+        "title": _title(name),
         "absolute": _ABSOLUTE.get(y.unit),
         "drive_rest": min(max(0.0, u.low), u.high),
         "drive_noise": rounded((u.high - u.low) / 100),
@@ -104,6 +112,77 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "dead_low": rounded(proposal.lag / 50),
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",
+    }
+
+
+def _title(name: str) -> str:
+    """The name of the plant's class."""
+    title = "".join(part.capitalize() for part in name.split("_"))
+    return f"{title}Plant" if title in _TAKEN else title
+
+
+def _several(name: str, proposal: SeveralProposal) -> dict[str, Any]:
+    inputs = []
+    for u in proposal.inputs:
+        at_rest = min(max(0.0, u.low), u.high)
+        inputs.append(u._asdict() | {"noise": rounded((u.high - u.low) / 100), "rest": at_rest})
+    outputs = [_output(number, output, proposal) for number, output in enumerate(proposal.outputs, 1)]
+    free = []
+    for number, output in enumerate(outputs, 1):
+        free += [f"lag_{number}", f"rest_{number}", *(gain["name"] for gain in output["gains"])]
+    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
+    return {
+        "title": _title(name),
+        "outputs": outputs,
+        "inputs": inputs,
+        "disturbances": middles,
+        "free": free,
+    }
+
+
+def _output(number: int, output: LaggedOutput, proposal: SeveralProposal) -> dict[str, Any]:
+    """What the file says of one output and its lag."""
+    y = output.signal
+    reach = y.high - y.low
+    gains = []
+    for input_number, (gain, u) in enumerate(zip(output.gains, proposal.inputs, strict=True), 1):
+        most = rounded(reach / (u.high - u.low))
+        gains.append({
+            "name": f"gain_{number}_{input_number}",
+            "unit": _per(y.unit, u.unit),
+            "default": min(max(gain, -most), most),
+            "most": most,
+            "scale": rounded(most / 10),
+            "input": u.name,
+        })  # fmt: skip
+    low, high = (-reach, reach) if output.around else (y.low, y.high)
+    return {
+        "number": number,
+        "y": y,
+        "noise": output.noise,
+        "absolute": _ABSOLUTE.get(y.unit),
+        "lag": output.lag,
+        "lag_low": rounded(output.lag / _WIDE),
+        "lag_high": rounded(output.lag * _WIDE),
+        "rest": output.rest,
+        "rest_low": rounded(low, 4),
+        "rest_high": rounded(high, 4),
+        "rest_scale": rounded(reach / 10),
+        "gains": gains,
+        "around": output.around.name if output.around else "",
+    }
+
+
+def _test_of_several(proposal: SeveralProposal) -> dict[str, Any]:
+    measured = [rounded((d.low + d.high) / 2, 4) for d in proposal.disturbances]
+    begin = []
+    for output in proposal.outputs:
+        level = measured[proposal.disturbances.index(output.around)] if output.around else 0.0
+        begin.append(rounded(level + output.rest, 4))
+    return {
+        "period": rounded(min(output.lag for output in proposal.outputs) / 15),
+        "measured": measured,
+        "begin": begin,
     }
 
 

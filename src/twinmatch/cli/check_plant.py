@@ -20,15 +20,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data = "also check a recording of it against the gate"
     parser.add_argument("--data", type=Path, metavar="SESSION|CSV", help=data)
     add_options(parser, "--map", help="time=elapsed output=t2 'input=duty; scale=100': columns of the .csv")
-    add_options(parser, "--map-file")
+    add_options(parser, "--map-file", "--bridge", "--gaps")
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
     plant = find_plant(options.plant)
     with Progress("reading") as progress:
+        limits = {"longest": options.bridge, "gaps": options.gaps}
         samples = options.data and data_for(
-            options.data, plant, column_map(options), options.period, progress.advance
+            options.data, plant, column_map(options), options.period, progress.advance, **limits
         )
     with Progress("checking") as progress:
         checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)

@@ -16,7 +16,7 @@ from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_c
 from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.mapped_bags import map_bag
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.table_files import open_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import plant_topics, samples_of, write_session
@@ -45,11 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(mapping, "--map-file")
     add_options(mapping, "--period", help="sampling period, if not that of the rows")
-    longest = "longest gap to interpolate across (default: three rows)"
-    mapping.add_argument("--bridge", type=float, metavar="S", help=longest)
-    gaps = "what to do with longer gaps: refuse them (default), or split the session there, so that no "
-    gaps += "window reaches across"
-    mapping.add_argument("--gaps", choices=("refuse", "split"), default="refuse", help=gaps)
+    add_options(mapping, "--bridge", "--gaps")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -93,7 +89,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
             imported = map_bag(options.recording, signal_map, plant, progress=progress.advance, **limits)
     else:
         with Progress("reading") as progress:
-            table = read_table(options.recording, progress.advance)
+            table = open_table(options.recording, progress.advance)
             progress.show(f"mapping {len(table.lines)} rows", 0, 0)
         table, signal_map = with_derived(table, signal_map)
         imported = map_samples(table, with_plant_names(table, plant, signal_map), plant, **limits)
@@ -136,14 +132,14 @@ def _list(path: Path) -> int:
         sources = {name: source for name, source in proposed(columns).items() if name != "time"}
     else:
         with Progress("reading") as progress:
-            table = read_table(path, progress.advance)
+            table = open_table(path, progress.advance)
         columns = columns_of(table)
-        notes = []
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")
             shown.add_row(c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind)
-        sources = proposed(columns)
+        sources = proposed(columns, table)
+        notes = list(table.notes)
     console_for(140).print(shown)
     for note in notes:
         print(f"Note: {note}")

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.adding.blank import blank, signal_said
+from twinmatch.adding.several import SeveralProposal, has_several, propose_several
 from twinmatch.cli.shared import Progress, add_options, positive, positive_period
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
+from twinmatch.importing.column_map import SEEN, columns_of, of_all_loops, proposed, seen_by_controller
 from twinmatch.importing.derived import with_derived
-from twinmatch.importing.tables import read_table
+from twinmatch.importing.table_files import open_table
 from twinmatch.offline.first_steps import course_from_file
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guess = "which column is which signal, as for twinmatch import; without it a guess is made"
     add_options(parser, "--map", help=guess)
     add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
+    add_options(parser, "--bridge", "--gaps")
     nothing = "write a file from --measured, --moved and --takes alone, and say what to record first"
     parser.add_argument("--nothing-recorded", action="store_true", help=nothing)
     measured = "what is measured, its unit and the range that it may never leave: 'temperature [°C] 10 to 95'"
@@ -70,15 +72,23 @@ def run(options: argparse.Namespace) -> int:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
+    for note in proposal.notes:
+        print(f"Note: {note}")
     paths = [str(folder / name) for name in files]
-    if options.nothing_recorded:
+    if isinstance(proposal, Proposal) and options.nothing_recorded:
         _say_course(paths, proposal)
     else:
         _say(options, paths, proposal)
     return 0
 
 
-def _proposal(options: argparse.Namespace) -> Proposal:
+def _further_options(proposal: Proposal | SeveralProposal) -> str:
+    """What the next commands need to read the table as it was read here."""
+    words = "" if proposal.bridge is None else f" --bridge {proposal.bridge:g}"
+    return words + (" --gaps split" if proposal.split else "")
+
+
+def _proposal(options: argparse.Namespace) -> Proposal | SeveralProposal:
     period = positive_period(options, "new-plant")
     signal_map = parse_map(options.map)
     if options.nothing_recorded:
@@ -88,16 +98,21 @@ def _proposal(options: argparse.Namespace) -> Proposal:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
         return example()
     with Progress("reading") as progress:
-        table = read_table(options.table, progress.advance)
+        table = open_table(options.table, progress.advance)
     if not signal_map.sources:
         columns = columns_of(table)
-        signal_map = SignalMap(proposed(columns))
+        signal_map = SignalMap(proposed(columns, table))
         words = shlex.join(f"{signal}={source.text}" for signal, source in signal_map.sources.items())
         print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
+        if several := of_all_loops(columns, signal_map.sources):
+            loops = sum(name.startswith("input.") for name in several)
+            words = shlex.join(f"{signal}={source.text}" for signal, source in several.items())
+            print(f"The table has signals of {loops} loops; for a plant of all of them: --map {words}")
     table, signal_map = with_derived(table, replace(signal_map, period=period))
-    return propose(table, signal_map)
+    propose_from = propose_several if has_several(signal_map) else propose
+    return propose_from(table, signal_map, longest=options.bridge)
 
 
 def _blank(options: argparse.Namespace) -> Proposal:
@@ -122,12 +137,12 @@ def _say_course(files: list[str], proposal: Proposal) -> None:
     print("docs/newcomer.md goes the whole way.")
 
 
-def _say(options: argparse.Namespace, files: list[str], proposal: Proposal) -> None:
+def _say(options: argparse.Namespace, files: list[str], proposal: Proposal | SeveralProposal) -> None:
     plant, test, config, *mapped = map(shlex.quote, files)
     session = f"{options.name}_session"
-    further_options = " --gaps split" if proposal.split else ""
+    further_options = _further_options(proposal)
     print(f"Written: {', '.join(files)}")
-    if proposal.held:
+    if isinstance(proposal, Proposal) and proposal.held:
         print(
             f"Note: {proposal.input.name} stood at one level, so gain and rest cannot be told apart: they "
             f"hold if {proposal.output.name} rested at its first readings. Rest first; how long, and which "
@@ -136,10 +151,13 @@ def _say(options: argparse.Namespace, files: list[str], proposal: Proposal) -> N
         print(f"  twinmatch experiment --plant {shlex.quote(files[0])}")
     print("Next:")
     print(f"  1. check {plant}: names, units, ranges, equations (lines marked *)")
-    print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, and what to change")
-    print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
+    data = ""
     if mapped:
         table = shlex.quote(str(options.table))
+        data = f" --data {table} --map-file {mapped[0]}{further_options}"
+    print(f"  2. twinmatch check-plant {plant}{data}        # what is wrong with it, and what to change")
+    print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
+    if mapped:
         arguments = f"{table} --map-file {mapped[0]} --plant {plant}{further_options}"
         print(f"  4. twinmatch import {arguments} -o {session}")
     else:

@@ -74,6 +74,15 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "help": "methods to compare the twin with; without a value: none (default: all)",
     },
     "--period": {"type": float, "metavar": "S"},
+    "--bridge": {
+        **{"type": float, "metavar": "S"},
+        "help": "longest gap to interpolate across (default: three rows)",
+    },
+    "--gaps": {
+        **{"choices": ("refuse", "split"), "default": "refuse"},
+        "help": "what to do with longer gaps: refuse them (default), or split the recording there, so that "
+        "no window reaches across",
+    },
     "--session": {"type": Path, "metavar": "FOLDER", "help": "record here (default: sessions/<time>)"},
     "--speed": {
         **{"type": speed, "default": 1.0, "metavar": "N"},

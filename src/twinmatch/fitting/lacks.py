@@ -10,6 +10,7 @@ here, so their ratio counts, not their difference in units of the noise.
 from __future__ import annotations
 
 import math
+import re
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -142,6 +143,8 @@ class Lack(NamedTuple):
     """Share of the squared residuals that it explains."""
     lines: tuple[str, ...]
     """What to add to the file, in the order in which it is read."""
+    model: Model
+    """The plant with it."""
 
     def __str__(self) -> str:
         """A clause for a sentence about the residuals."""
@@ -191,7 +194,7 @@ def lack_of(
             least = charge
             first_added = grown.model.structure.free[len(structure.free)]
             title = f"{grown.effect.title} of about {_size_in_words(parameters, first_added)}"
-            best = Lack(title, 1.0 - left_by_effect / left, _lines(base.model, grown))
+            best = Lack(title, 1.0 - left_by_effect / left, _lines(base.model, grown), grown.model)
     return best
 
 
@@ -330,12 +333,23 @@ def _size_in_words(found: Parameters, name: str) -> str:
     return f"{float(f'{value:.2g}'):g} {unit}".rstrip()
 
 
+def _imports(effect: _Effect) -> list[str]:
+    """The lines that import what the lines of an effect use; they stand above the class."""
+    words = set(re.findall(r"\w+", effect.declared + effect.equations))
+    of_dynamics = sorted(words & _NAMES.keys() - {"replace"})
+    lines = ["from dataclasses import replace"] if "replace" in words else []
+    if of_dynamics:
+        lines.append(f"from twinmatch.dynamics import {', '.join(of_dynamics)}")
+    return lines
+
+
 def _lines(model: Model, grown: _Grown) -> tuple[str, ...]:
     richer = grown.model.structure
     part = grown.effect.title.removeprefix("a ")
     starts = f", free_starts={richer.free_starts}" if richer.free_starts else ""
     wanted = f"Structure(free={richer.free}, parts=frozenset({sorted({*richer.parts, part})}){starts})"
     return (
+        *_imports(grown.effect),
         *grown.effect.declared.splitlines(),
         f"parts = {(*model.plant.parts, part)}",
         f"structures = {{…, {f'{model.structure_name}, {part}'!r}: {wanted}}}",

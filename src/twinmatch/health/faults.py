@@ -312,8 +312,8 @@ class FaultSentences:
         [reading] = sample.refused
         if before is None or not self._span[0] <= reading <= self._span[1]:
             reason = (
-                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input} and "
-                f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
+                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input}, which is "
+                f"impossible: look at {self.sensor}"
             )
         else:
             reason = (

@@ -48,7 +48,7 @@ class SqliteScan(Scan):
         """
         without_topic = 0
         try:
-            with _database(self.path) as data:
+            with database_at(self.path) as data:
                 topics = self._topics_in(data)
                 for topic_id, stamp, content in data.execute(_ROWS):
                     if topic_id in topics:
@@ -94,7 +94,7 @@ class SqliteScan(Scan):
 
 
 @contextmanager
-def _database(path: Path) -> Iterator[sqlite3.Connection]:
+def database_at(path: Path) -> Iterator[sqlite3.Connection]:
     """An SQLite file, with the messages that a killed recorder left in a journal; no file is changed.
 
     SQLite itself would change them: it moves a journal into the database. So both are copied.

@@ -13,12 +13,16 @@ import numpy as np
 
 from twinmatch.decoding import decoded
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.clocks import is_record_number
+from twinmatch.importing.pairs import moving, share_a_word
+from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import read_times
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
+from twinmatch.units import measure
 
 
 class _MapFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -44,19 +48,24 @@ def read_map(path: Path) -> SignalMap:
 
 
 _REFERENCE: Final = re.compile(
-    r"set.?-?point|\bsp\b|^sp\d*$|reference|^ref$|^r$|desired|target", re.IGNORECASE
+    r"set.?-?point|\bsp\b|^sp\d*$|^sv\d*$|_sp$|reference|^ref$|^r$|desired|target|"
+    r"^set$|^set[_ ]|[_ ]set$|(?-i:^[Ss]et[A-Z])|sollwert|[_ ]soll$|consigne",
+    re.IGNORECASE,
 )
 _OUTPUT: Final = re.compile(
-    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow",
+    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow|"
+    r"voltage",
     re.IGNORECASE,
 )
 _INPUT: Final = re.compile(
-    r"heater|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
+    r"heater|^heat(ing)?([_ ]|$)|[_ ]heat(ing)?$|^cool(ing|er)?([_ ]|$)|[_ ]cool(ing)?$|relay|burner|"
+    r"compressor|\bfan|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|current|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
     re.IGNORECASE,
 )
 _ROOM: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
+_OUTSIDE: Final = re.compile(r"amb|outside|outdoor|environment|t_?inf|surround|weather", re.IGNORECASE)
 _TIME: Final = re.compile(
-    r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
+    r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
 )
 
 
@@ -86,6 +95,8 @@ class TitledTimes:
     """Largest share of rows that may repeat the time before."""
 
 
+_FEWEST_EVEN: Final = 20
+"""Fewest equal steps that only a time makes."""
 _COMMANDED: Final = CommandedColumns()
 _TITLED: Final = TitledTimes()
 _SURE_TIMES: Final = (
@@ -103,6 +114,10 @@ _SURE_TIMES: Final = (
 """Names of columns that are taken as times even if they go back now and then."""
 
 
+CLOCK: Final = "time of day"
+"""Unit of a column of durations or times of day."""
+
+
 class Column(NamedTuple):
     """Summary of a column."""
 
@@ -116,14 +131,36 @@ class Column(NamedTuple):
     empty: int
     """Rows without a value."""
     kind: str
-    """`time` (increasing), `numbers`, `on or off`, `constant` or `text`."""
+    """`time` (increasing), `day` (dates without a time of day), `record number`, `numbers`, `on or off`,
+    `constant` or `text`."""
     stepped: bool = False
     """Whether it holds its value and jumps, as a command does."""
+    even: bool = False
+    """Whether it rises by equal steps, as a time does, and nothing that is measured."""
+    name: str = ""
+    """What tells its meaning, if that is not its title without the unit."""
+
+    @property
+    def short_name(self) -> str:
+        """Its name without a unit, or what it is called within its domain: `heater` of `switch.heater`."""
+        return self.name.rpartition("=")[2].rpartition(".")[2] or split_title(self.title)[0]
 
 
 def columns_of(table: Table) -> list[Column]:
     """Summaries of all columns."""
+    if isinstance(table, SeriesTable):
+        return [_column(table, table.time), *(_series(table, title) for title in table.places_of)]
     return [_column(table, title) for title in table.columns]
+
+
+def _series(table: SeriesTable, title: str) -> Column:
+    """The summary of a series of a table that stacks them."""
+    if table.texts.get(title):
+        different = {*table.texts[title].values()}
+        return Column(title, "", np.nan, np.nan, len(different), 0, "text", name=table.names[title])
+    column = described(title, table.unit(title), table.own_values(title), ordered=True)
+    kind = "numbers" if column.kind in ("time", "record number") else column.kind
+    return column._replace(kind=kind, name=table.names[title])
 
 
 def _column(table: Table, title: str) -> Column:
@@ -132,11 +169,17 @@ def _column(table: Table, title: str) -> Column:
     except TwinmatchError:
         pass
     try:
-        seconds = read_times(table, title).seconds
+        times = read_times(table, title)
     except TwinmatchError:
-        different = {*table.texts[title].values(), *table.columns[title].tolist()}
-        return Column(title, table.unit(title), np.nan, np.nan, len(different), 0, "text")
-    return Column(title, "date", 0.0, float(np.nanmax(seconds)), seconds.size, 0, "time")
+        different_texts = {*table.texts[title].values(), *table.columns[title].tolist()}
+        return Column(title, table.unit(title), np.nan, np.nan, len(different_texts), 0, "text")
+    seconds = times.seconds[np.isfinite(times.seconds)]
+    different = np.unique(seconds).size
+    unit = CLOCK if times.origin is None else "date"
+    kind = "constant" if different == 1 else "time"
+    if times.origin is not None and not (np.rint(times.origin + seconds) % 86400.0).any():
+        kind = "day"
+    return Column(title, unit, 0.0, float(seconds.max()), different, times.seconds.size - seconds.size, kind)
 
 
 def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Column:
@@ -157,6 +200,7 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
         empty=values.size - finite.size,
         kind=_kind(title, finite, different, ordered=ordered),
         stepped=ordered and _is_stepped(finite),
+        even=ordered and _is_even(finite),
     )
 
 
@@ -165,7 +209,8 @@ def _kind(title: str, finite: FloatArray, different: FloatArray, *, ordered: boo
     if different.size == 1:
         return "constant"
     if ordered and _is_time(title, finite):
-        return "time"
+        name, _ = split_title(title)
+        return "record number" if is_record_number(name, finite) else "time"
     return "on or off" if set(different) <= {0.0, 1.0} else "numbers"
 
 
@@ -188,6 +233,16 @@ def _is_time(title: str, finite: FloatArray) -> bool:
     return bool(repeats_rarely or (set_back_rarely and name.lower() in _SURE_TIMES))
 
 
+def _is_even(values: FloatArray) -> bool:
+    """Whether a column rises by equal steps."""
+    steps = np.diff(values)
+    return (
+        steps.size >= _FEWEST_EVEN
+        and float(steps.min()) > 0.0
+        and float(np.ptp(steps)) < 1e-6 * float(steps.max())
+    )
+
+
 def _is_stepped(values: FloatArray) -> bool:
     """Whether a column mostly holds its value and else jumps."""
     changes = np.abs(np.diff(values))
@@ -197,23 +252,118 @@ def _is_stepped(values: FloatArray) -> bool:
     return float(np.median(moved)) >= _COMMANDED.jump * float(np.ptp(values))
 
 
-def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
-    """A guess at the columns of time, output, input, reference and room, for a person to check."""
-    sources: dict[str, SignalSource] = {}
-    used: set[str] = set()
-    for signal, candidates in _candidates(columns):
-        if signal in sources:
-            continue
-        free = [column.title for column in candidates if column.title not in used]
-        if free:
-            sources[signal] = SignalSource((free[0],))
-            used.add(free[0])
-    if seen_by_controller(columns, sources):
-        measured, drive = _in_and_out(columns)
-        sources["output"] = SignalSource((measured.title,))
-        sources["input"] = SignalSource((drive.title,))
-    order = ("time", "output", "input", "reference", "room")
+def proposed(columns: Sequence[Column], table: Table | None = None) -> dict[str, SignalSource]:
+    """A guess at the columns of time, output, input, reference and room, for a person to check.
+
+    With the `table` itself, further inputs are `input.2` and so on: those with which the output moves, too.
+    """
+    chosen = _chosen(columns)
+    if table is not None and "output" not in chosen and "room" in chosen:
+        chosen["output"] = chosen.pop("room")
+    _pair_by_name(columns, chosen)
+    if seen_by_controller(columns, {signal: SignalSource((c.title,)) for signal, c in chosen.items()}):
+        chosen["output"], chosen["input"] = _in_and_out(columns)
+    elif table is not None:
+        _add_inputs(columns, chosen, table)
+    sources = {signal: SignalSource((column.title,)) for signal, column in chosen.items()}
+    if day_and_clock := _day_and_clock(columns):
+        sources["time"] = SignalSource(day_and_clock)
+    order = ("time", "output", "input", *(signal for signal in sources if "." in signal), "reference", "room")
     return {signal: sources[signal] for signal in order if signal in sources}
+
+
+def _chosen(columns: Sequence[Column]) -> dict[str, Column]:
+    """The first column for each signal that no signal before has."""
+    chosen: dict[str, Column] = {}
+    for signal, candidates in _candidates(columns):
+        free = [column for column in candidates if column not in chosen.values()]
+        if signal not in chosen and free:
+            chosen[signal] = free[0]
+    return chosen
+
+
+def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
+    """Exchange input and set-point for those of the thing that the output is of, where names say it."""
+    output = chosen.get("output")
+    if output is None:
+        return
+    for signal in ("input", "reference"):
+        column = chosen.get(signal)
+        if column is None or share_a_word(column.short_name, output.short_name):
+            continue
+        of_signal = [c for name, candidates in _candidates(columns) if name == signal for c in candidates]
+        others = [chosen[name] for name in chosen if name != signal]
+        of_same_thing = [
+            c for c in of_signal if c not in others and share_a_word(c.short_name, output.short_name)
+        ]
+        if of_same_thing:
+            chosen[signal] = of_same_thing[0]
+
+
+def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> dict[str, SignalSource]:
+    """The guess with the further outputs that have an input of the same thing, by name; empty without one.
+
+    `sources` is the guess at one loop.
+    """
+    if not {"output", "input"} <= sources.keys():
+        return {}
+    used = {title for source in sources.values() for title in source.places}
+    free = [c for c in columns if c.title not in used and not _REFERENCE.search(c.short_name)]
+    measured = _of_units(free)
+    drives = [c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in measured]
+    outputs = [c for c in _named(free, _OUTPUT, ("numbers",)) if c not in drives and c not in measured]
+    pairs = _paired([*outputs, *measured], drives)
+    if not pairs:
+        return {}
+    several = {name: source for name, source in sources.items() if name in ("time", "room")}
+    several |= {"output.1": sources["output"], "input.1": sources["input"]}
+    for number, (output, drive) in enumerate(pairs, 2):
+        several[f"output.{number}"] = SignalSource((output.title,))
+        several[f"input.{number}"] = SignalSource((drive.title,))
+    return several
+
+
+def _paired(outputs: Sequence[Column], drives: Sequence[Column]) -> list[tuple[Column, Column]]:
+    """Each output with the first drive of the same thing that no other output has."""
+    pairs: list[tuple[Column, Column]] = []
+    for output in outputs:
+        taken = [drive for _, drive in pairs]
+        for drive in drives:
+            if drive not in taken and share_a_word(drive.short_name, output.short_name):
+                pairs.append((output, drive))
+                break
+    return pairs
+
+
+def _add_inputs(columns: Sequence[Column], chosen: dict[str, Column], table: Table) -> None:
+    """Add what is named like an input, or switched, if the output moves with it beside the first input."""
+    if not {"output", "input"} <= chosen.keys():
+        return
+    output = chosen["output"]
+    outputs = [c for c in _of_units(columns) if c is not output]
+    further = [
+        c
+        for c in columns
+        if c not in chosen.values()
+        and (c.kind == "on or off" or (c.stepped and _INPUT.search(c.short_name)))
+        and not any(share_a_word(c.short_name, other.short_name) for other in outputs)
+    ]
+    inputs = [chosen["input"], *further]
+    if not further or isinstance(table, SeriesTable):
+        return
+    is_moving = moving(table.values(output.title), [table.values(column.title) for column in inputs])
+    moved_by = [column for column, moves in zip(inputs, is_moving, strict=True) if moves]
+    if len(moved_by) < 2:
+        return
+    del chosen["input"]
+    chosen.update({f"input.{number}": column for number, column in enumerate(moved_by, 1)})
+
+
+def _day_and_clock(columns: Sequence[Column]) -> tuple[str, ...]:
+    """The titles of a column of dates and of one of times of day, which are one time; empty without both."""
+    days = _of_kind(columns, "day")
+    clocks = [column for column in columns if column.unit == CLOCK]
+    return (days[0].title, clocks[0].title) if days and clocks else ()
 
 
 def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
@@ -221,17 +371,22 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
 
     Pairs are tried in this order: what a title says comes before how the values behave.
     """
-    titled_inputs = _named(columns, _INPUT, ("on or off", "numbers"))
-    titled_outputs = _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))
-    numbers = _of_kind(columns, "numbers")
+    references = _named(columns, _REFERENCE, ("numbers", "constant"))
+    signals = [column for column in columns if column not in references and not column.even]
+    titled_inputs = _named(signals, _INPUT, ("on or off", "numbers"))
+    titled_outputs = _liveliest(_named(signals, _OUTPUT, ("numbers", "time")))
+    measured = _liveliest(_of_units(signals))
+    numbers = _of_kind(signals, "numbers")
     return [
         ("time", _named(columns, _TIME, ("time",))),
-        ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
+        ("reference", references),
+        ("room", _named(columns, _OUTSIDE, ("numbers", "constant"))),
         ("room", _named(columns, _ROOM, ("numbers", "constant"))),
         ("input", [column for column in titled_inputs if column.stepped or column.kind == "on or off"]),
         ("input", titled_inputs),
         ("input", [column for column in numbers if column.stepped]),
         ("output", [column for column in titled_outputs if not column.stepped]),
+        ("output", [column for column in measured if not column.stepped]),
         ("output", titled_outputs),
         ("time", _of_kind(columns, "time")),
         ("input", _of_kind(columns, "on or off")),
@@ -268,13 +423,25 @@ def _distance(column: Column, other: Column) -> float:
 
 def _in_and_out(columns: Sequence[Column]) -> list[Column]:
     """The columns Input and Output, if there are both."""
-    named = {split_title(c.title)[0].lower(): c for c in columns if c.kind != "text"}
+    named = {c.short_name.lower(): c for c in columns if c.kind != "text"}
     return [named[name] for name in ("input", "output") if name in named]
 
 
 def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> list[Column]:
     """The columns of these kinds whose names, without units, match."""
-    return [c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0])]
+    return [c for c in columns if c.kind in kinds and words.search(c.short_name)]
+
+
+def _of_units(columns: Sequence[Column]) -> list[Column]:
+    """The columns with a unit of what is measured, rather than commanded: a temperature, a pressure."""
+    temperature_and_pressure = (measure("K").dimension, measure("Pa").dimension)
+    return [
+        column
+        for column in columns
+        if column.kind == "numbers"
+        and column.unit
+        and measure(column.unit).dimension in temperature_and_pressure
+    ]
 
 
 def _of_kind(columns: Sequence[Column], kind: str) -> list[Column]:

@@ -13,9 +13,19 @@ from numpy.typing import NDArray
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.resampling import Gaps, Kind, Resampled, complete_rows, repeated, resample
+from twinmatch.importing.clocks import require_agreement, unlabelled_clocks
+from twinmatch.importing.resampling import (
+    Gaps,
+    Kind,
+    Resampled,
+    complete_rows,
+    repeated,
+    resample,
+    usual_period,
+)
+from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import Times, read_times, row_times
+from twinmatch.importing.times import Times, read_date_and_time, read_times, row_times
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.names import LoopNames, accepted_names, by_signal
 from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
@@ -57,6 +67,8 @@ class PlantSignal(NamedTuple):
 def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, signal_map.sources))
+    if isinstance(table, SeriesTable):
+        sources.setdefault(TIME, SignalSource((table.time,)))
     used_titles: set[str] = set()
     for source in sources.values():
         used_titles.update(map(table.find, with_titles(table, source).places))
@@ -128,27 +140,34 @@ def map_samples(
     }
     signals, notes = _signals_to_read(table, plant, replace(signal_map, sources=sources))
     times = times_of(table, sources.get(TIME), signal_map.period)
-    values = {
-        signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
-    }
+    kinds = {signal: properties.kind for signal, properties in signals.items()}
+    table, times = in_rows(table, sources, kinds, times)
+    values = {}
+    impossible_notes = []
+    for signal, properties in signals.items():
+        converted = _values(table, sources[signal], signal, properties)
+        values[signal] = without_impossible(converted, properties.unit)
+        impossible_notes += notes_on_impossible(table, signal, converted, values[signal])
     rows, row_notes = _rows_with_values(table, times, values)
-    notes += row_notes
-    if times.order:
-        notes.append(f"The dates are read as {times.order}.")
+    notes += [*impossible_notes, *row_notes, *table.notes, *notes_on_times(table, sources.get(TIME), times)]
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
-    resampled = resample(
-        times.seconds[rows],
-        {signal: column[rows] for signal, column in values.items()},
-        {signal: properties.kind for signal, properties in signals.items()},
-        signal_map.period,
-        longest=longest,
-        gaps=gaps,
-        place=str(table.path),
-        row=lambda i: table.row_name(int(rows[i])),
-    )
+    try:
+        resampled = resample(
+            times.seconds[rows],
+            {signal: column[rows] for signal, column in values.items()},
+            kinds,
+            signal_map.period,
+            longest=longest,
+            gaps=gaps,
+            place=str(table.path),
+            row=lambda i: table.row_name(int(rows[i])),
+        )
+    except RecordingError as error:
+        raise RecordingError(" ".join([str(error), *(f"({note})" for note in impossible_notes)])) from None
     if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
+        notes += _note_on_fine_rows(plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
     has_reference = LoopNames.of(plant).references[0] in resampled.columns
@@ -190,6 +209,18 @@ def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
             f"{settles_in:.3g} s: nothing of that could be seen. If the times are in another unit, write "
             f"'time=COLUMN; unit=ms' or the like; if they are right, give --period {period:g}"
         )
+
+
+def _note_on_fine_rows(plant: type[Plant], period: float) -> list[str]:
+    """A note on rows much closer together than the plant needs."""
+    settles_in = time_constant(plant)
+    wanted = usual_period(settles_in, period)
+    if wanted == period:
+        return []
+    return [
+        f"The rows are {period:g} s apart, but {plant.title} settles within {settles_in:.3g} s: --period "
+        f"{wanted:g} would do; windows of as many samples then last long enough, and fits are faster."
+    ]
 
 
 def with_titles(table: Table, source: SignalSource) -> SignalSource:
@@ -275,12 +306,58 @@ def _has_references(loop: LoopNames, sources: Mapping[str, SignalSource]) -> boo
 
 
 def times_of(table: Table, source: SignalSource | None, period: float | None) -> Times:
-    """The times in a column of a table or, without one, those of rows equally far apart."""
+    """The times in a column of a table, or of a date and a time of day in two; without one, those of rows
+    equally far apart.
+
+    Raises:
+        RecordingError: they cannot be read, or another clock of the table disagrees.
+    """
     if source is None:
         return row_times(len(table.lines), period or 1.0)
-    if len(source.places) > 1:
-        raise RecordingError(f"--map time={source.text}: names several columns; give one for time")
-    return read_times(table, source.places[0], source.unit, source.scale)
+    if len(source.places) == 2:
+        return read_date_and_time(table, *source.places)
+    if len(source.places) > 2:
+        raise RecordingError(
+            f"--map time={source.text}: names several columns; give one for time, or one for the date and "
+            "one for the time of day"
+        )
+    times = read_times(table, source.places[0], source.unit, source.scale)
+    if _is_unconfirmed(source):
+        require_agreement(table, source.places[0], times)
+    return times
+
+
+def in_rows(
+    table: Table, sources: Mapping[str, SignalSource], kinds: Mapping[str, Kind], times: Times
+) -> tuple[Table, Times]:
+    """The table and its times with all signals in each row; of stacked series, those of the first signal.
+
+    `kinds` has the signals that are read, and what is between two values of each; the first is an output.
+    """
+    if not isinstance(table, SeriesTable):
+        return table, times
+    kinds_by_title = {}
+    for signal, kind in kinds.items():
+        for title in sources[signal].places:
+            if title not in table.places_of:
+                raise RecordingError(f"{table.path}: {title!r} is none of its series; {signal} needs one")
+            kinds_by_title[title] = kind
+    return table.at_rows_of(next(iter(kinds_by_title)), kinds_by_title, times)
+
+
+def _is_unconfirmed(source: SignalSource) -> bool:
+    """Whether nobody has said what a column of times counts."""
+    return len(source.places) == 1 and not source.unit and source.scale == 1.0
+
+
+def notes_on_times(table: Table, source: SignalSource | None, times: Times) -> list[str]:
+    """Notes on how times were read, and on a second clock that nobody can judge."""
+    notes = []
+    if times.order:
+        notes.append(f"The dates are read as {times.order}.")
+    if source is not None and _is_unconfirmed(source):
+        notes += unlabelled_clocks(table, source.places[0], times)
+    return notes
 
 
 def _values(table: Table, source: SignalSource, signal: str, plant_signal: PlantSignal) -> FloatArray:
@@ -309,6 +386,31 @@ def without_marks(values: FloatArray) -> FloatArray:
     if least_reading < 0.5 * float(finite[is_mark].max()):
         return values
     return np.where(np.isin(values, _MARKS), np.nan, values)
+
+
+def without_impossible(values: FloatArray, unit: str) -> FloatArray:
+    """A column of temperatures with nan below absolute zero, which nothing measures, shape (N,).
+
+    In kelvin it may be a difference of temperatures, which is kept.
+    """
+    if not measure(unit).offset:
+        return values
+    kelvin = conversion(unit, "K")
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_impossible = values * kelvin.scale + kelvin.offset < 0.0
+    return np.where(is_impossible, np.nan, values)
+
+
+def notes_on_impossible(table: Table, signal: str, before: FloatArray, after: FloatArray) -> list[str]:
+    """A note on values that `without_impossible` has taken out of a signal, shape (N,) each."""
+    rows = np.flatnonzero(np.isfinite(before) & np.isnan(after))
+    if not rows.size:
+        return []
+    first = int(rows[0])
+    return [
+        f"{signal} is below absolute zero in {rows.size} rows, {before[first]:g} in {table.row_name(first)} "
+        "first: nothing has read that."
+    ]
 
 
 def check_range(

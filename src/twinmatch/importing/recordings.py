@@ -23,10 +23,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from twinmatch.importing.clocks import require_agreement
 from twinmatch.importing.mapped import PlantSignal, check_range
 from twinmatch.importing.matlab import MAT_BEGINNING
 from twinmatch.importing.resampling import period_of_ticks
 from twinmatch.importing.tables import Table, read_table, split_title
+from twinmatch.importing.times import Times
 from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
@@ -70,6 +72,8 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
     table = read_table(path, progress, matrix=(_MATRIX, len(_MATRIX_SIGNALS)))
     titles = _titles(table) if table.units else dict(zip(_MATRIX_SIGNALS, table.columns, strict=True))
     columns = {signal: table.values(title) for signal, title in titles.items()}
+    if table.units:
+        require_agreement(table, titles[TIME], Times(columns[TIME], None))
     period = period_of_ticks(
         columns[TIME],
         {signal: column for signal, column in columns.items() if signal != TIME},

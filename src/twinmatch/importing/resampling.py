@@ -18,6 +18,7 @@ window spans the gap. So is a place where the logger's clock was set back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -49,6 +50,16 @@ class StepRules:
     """Largest deviation of a step between ticks."""
     crowded: float = 0.5
     """Shortest period that can be requested, so that most ticks have their own row."""
+    fewest_of_a_pace: int = 5
+    """More steps that are too long may be a second pace of the logger."""
+    share_of_a_pace: float = 0.02
+    """Share of the steps from which on they are."""
+    most_of_a_pace: float = 0.9
+    """Share of them that a second pace has; the rest are gaps."""
+    fine: float = 400.0
+    """A time constant of more rows than this makes windows too short for the plant, and fits slow."""
+    per_lag: float = 50.0
+    """Samples per time constant that are proposed instead."""
     back: float = 0.1
     """Largest share of the steps that lead back where a clock was set; more are rows out of order."""
 
@@ -95,7 +106,7 @@ class Resampled:
     @property
     def moved(self) -> bool:
         """Whether values were interpolated; otherwise they are those of the rows."""
-        return self.jitter > 0
+        return self.jitter > 0 or bool(self.bridged)
 
     @property
     def sentence(self) -> str:
@@ -177,7 +188,7 @@ def resample(
     is_bridged = (steps > 0) & (steps <= limit)
     cuts = np.flatnonzero(~is_bridged)
     if cuts.size and gaps == "refuse":
-        _refuse_gap(steps, cuts, limit, place, row)
+        _refuse_gap(stamps, cuts, limit, place, row)
     bridged_steps = steps[is_bridged]
     stretches = np.split(stamps, cuts + 1)
     if period is None:
@@ -245,6 +256,29 @@ def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
     `stamps` are the increasing times of at least two rows, s.
     """
     return _STEPS.bridged * usual_step(np.diff(stamps)) if longest is None else longest
+
+
+def second_pace(stamps: FloatArray) -> float | None:
+    """The step of a second pace of a logger, s, such as one a minute at rest beside one a second.
+
+    It is the longest of many long steps; None if there are few. `stamps` are the times of the rows, s.
+    """
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    longer = forward[forward > _STEPS.bridged * usual_step(steps)]
+    if longer.size <= max(_STEPS.fewest_of_a_pace, _STEPS.share_of_a_pace * forward.size):
+        return None
+    pace = float(np.quantile(longer, _STEPS.most_of_a_pace, method="lower"))
+    return math.ceil(1.02 * pace) if pace > 10.0 else float(f"{1.05 * pace:.2g}")
+
+
+def usual_period(lag: float, row_period: float) -> float:
+    """A sampling period, s, for a plant with this time constant: that of the rows unless they are fine."""
+    if lag <= _STEPS.fine * row_period:
+        return row_period
+    wanted = lag / _STEPS.per_lag
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return next(float(f"{step * decade:.1g}") for step in (5.0, 2.0, 1.0) if step * decade <= wanted)
 
 
 def usual_step(steps: FloatArray) -> float:
@@ -320,15 +354,22 @@ def _refuse_standing(
 
 
 def _refuse_gap(
-    steps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
+    stamps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
 ) -> None:
-    """Refuse the steps after these rows, which are longer than `limit`."""
+    """Refuse the steps after these rows (times `stamps`, s), which are longer than `limit`."""
     first = int(cuts[0])
     further = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
+    step = stamps[first + 1] - stamps[first]
+    gap = f"{place}: a gap of {step:.4g} s after {row(first)}{further}"
+    gap += f"; steps of up to {limit:.4g} s are bridged"
+    pace = second_pace(stamps)
+    if pace is not None:
+        raise RecordingError(
+            f"{gap}: the rows seem to have a second pace; bridge it (--bridge {pace:g}), and split the "
+            "recording at what is longer (--gaps split)"
+        )
     raise RecordingError(
-        f"{place}: a gap of {steps[first]:.4g} s after {row(first)}{further}; steps of up to {limit:.4g} s "
-        "are bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge "
-        "SECONDS)"
+        f"{gap}: split the recording at longer ones (--gaps split), or bridge them too (--bridge SECONDS)"
     )
 
 

@@ -1,10 +1,13 @@
 """Tables of other programs, with any columns: `.csv` and MATLAB `.mat`.
 
 A **.csv** file has a line of column names, perhaps a line of their units, then a line per row. Columns are
-separated by commas, semicolons or tabs, or by what a first line `sep=…` says; lines that begin with `#` are
-ignored. Where commas do not separate columns, they may be decimal separators. `true`, `on` and `yes` are 1,
-`false`, `off` and `no` 0; an empty cell, `nan` and `null` have no value. A row takes 8 bytes per column of
-numbers in memory, however it is written.
+separated by commas, semicolons, tabs or spaces, or by what a first line `sep=…` says; lines that begin with
+`#` are ignored, unless the names stand behind the last one. Numbers may have their unit behind them, as in
+`17.99 °C`. Where commas do not separate columns, they may be decimal separators. `true`, `on` and `yes` are
+1, `false`, `off` and `no` 0; an empty cell, `nan`, `null`, `unavailable` and `unknown` have no value. A row
+takes 8 bytes per column of numbers in memory, however it is written.
+
+Lines above the names and lines of text among the rows are left out, and named in the table's notes.
 
 A **.mat** file (MATLAB version 5, 6 or 7) gives a column for each vector, with the variable's name, and for
 each column of a matrix, with the names `name[1]`, `name[2]` and so on.
@@ -13,11 +16,10 @@ each column of a matrix, with the names `name[1]`, `name[2]` and so on.
 from __future__ import annotations
 
 import csv
-import math
 import os
 import re
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -25,21 +27,22 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.importing.annotated import is_annotation, joined_tables
+from twinmatch.importing.cells import Cells, number
+from twinmatch.importing.heads import SPACES, Line, head_of, split_title, with_units
 from twinmatch.importing.matlab import read_matrices
+from twinmatch.importing.remarks import remark_rows
 from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of, open_regular
 from twinmatch.signals import FloatArray
-from twinmatch.units import measure
+
+__all__ = ["LIMITS", "Table", "number", "read_table", "split_title"]
 
 _BLOCK: Final = 4096
 """Lines that are read at once."""
+_REMARKS_NAMED: Final = 3
+"""Lines that are left out and named one by one."""
 _HEAD_LINES: Final = 53
 """First lines, from which separators, units and decimal separator are found."""
-_WORDS: Final = {
-    **dict.fromkeys(("true", "on", "yes"), 1.0),
-    **dict.fromkeys(("false", "off", "no"), 0.0),
-    **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-"), math.nan),
-}
-_TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
 _BYTE_ORDER_MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 """Byte-order marks of encodings other than UTF-8."""
 
@@ -62,8 +65,6 @@ _WESTERN: Final = "cp1252"
 """What Windows programs write where they do not write UTF-8: `°` and `µ` are single bytes."""
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
 """Characters that no text has; a file with them is binary, or has another encoding."""
-_SEPARATOR: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
-"""The line that names the separator for Excel."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,10 @@ class Table:
     """By title, the cells that are not numbers by their row (from 0); they are nan among the numbers."""
     units: bool = True
     """Whether titles may end with a unit in brackets."""
+    cell_units: Mapping[str, str] = field(default_factory=dict)
+    """By title, the unit behind the numbers of a column, as in `17.99 °C`, or the unit of a series."""
+    notes: tuple[str, ...] = ()
+    """Sentences on lines that are left out, for the user."""
 
     def find(self, name: str) -> str:
         """The title of a column; case and a unit in brackets may be omitted in `name`.
@@ -124,8 +129,9 @@ class Table:
         return self.columns[title]
 
     def unit(self, title: str) -> str:
-        """The unit in brackets in a column's title; empty for variables of a .mat."""
-        return split_title(title)[1] if self.units else ""
+        """The unit in brackets in a column's title, or behind its numbers; empty without one."""
+        in_title = split_title(title)[1] if self.units else ""
+        return in_title or self.cell_units.get(title, "")
 
     def row_name(self, k: int) -> str:
         """What the k-th row is called within the file, such as `line 12`."""
@@ -134,23 +140,6 @@ class Table:
     def place(self, k: int) -> str:
         """Place of the k-th row, for messages."""
         return f"{self.path}, {self.row_name(k)}"
-
-
-def split_title(title: str) -> tuple[str, str]:
-    """Name and unit of a column, such as `Temperature 1 (degC)`."""
-    match = _TITLE.match(title.strip())
-    return (match["name"].strip(), match["unit"].strip()) if match else (title.strip(), "")
-
-
-def number(text: str, decimal: str = ".") -> float | None:
-    """The number in a cell; nan without a value, None for other text."""
-    plain = text.strip().lower()
-    if plain in _WORDS:
-        return _WORDS[plain]
-    try:
-        return float(plain.replace(",", ".") if decimal == "," else plain)
-    except ValueError:
-        return None
 
 
 def read_table(
@@ -200,7 +189,8 @@ def _read_csv(path: Path, first_bytes: bytes, progress: ProgressCallback | None)
         raise RecordingError(f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV")
     for encoding in (_BYTE_ORDER_MARKS.get(first_bytes[:2], "utf-8-sig"), _WESTERN):
         try:
-            return _parse(path, _lines(path, encoding, progress))
+            remarks: list[Line] = []
+            return _parse(path, _lines(path, encoding, progress, remarks), remarks)
         except UnicodeError:
             continue
         except csv.Error as error:
@@ -212,109 +202,92 @@ def _not_text(path: Path) -> RecordingError:
     return RecordingError(f"{path}: is not text in a known encoding; save it as UTF-8")
 
 
-def _lines(path: Path, encoding: str, progress: ProgressCallback | None) -> Iterator[tuple[int, str]]:
-    """The lines that are not empty and not comments, each with its number in the file, from 1."""
-    for k, line in enumerate(lines_of(path, progress, encoding=encoding), 1):
-        if _CONTROL.search(line):
-            raise _not_text(path)
-        if line.strip(" ,;\t") and line.lstrip()[:1] != "#":
-            yield k, line
+def _lines(
+    path: Path, encoding: str, progress: ProgressCallback | None, remarks: list[Line]
+) -> Iterator[Line]:
+    """The lines that are not empty and not remarks; those before the first of them go into `remarks`."""
+
+    def filled_lines() -> Iterator[Line]:
+        for k, text in enumerate(lines_of(path, progress, encoding=encoding), 1):
+            if _CONTROL.search(text):
+                raise _not_text(path)
+            if text.strip(" ,;\t"):
+                yield Line(k, text)
+
+    first_line = next(filled_lines(), None)
+    if first_line is not None and is_annotation(first_line.text):
+        yield from joined_tables(filled_lines)
+        return
+    is_first = True
+    for line in filled_lines():
+        if line.text.lstrip()[:1] != "#":
+            is_first = False
+            yield line
+        elif is_first:
+            remarks.append(line)
+            del remarks[:-_HEAD_LINES]
 
 
-def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
-    """The table in these lines, each with its number in the file."""
-    head = list(islice(lines, _HEAD_LINES))
-    separator_line = _SEPARATOR.match(head[0][1]) if head else None
-    if separator_line:
-        head = head[1:]
-    if len(head) < 3:
-        msg = f"{path}: give column names and at least two rows; the file has {len(head)} lines of a table"
-        raise RecordingError(msg)
-    separator = separator_line[1] if separator_line else max(",;\t", key=head[0][1].count)
-    (titles_line, titles), *beginning = _rows(path, iter(head), separator)
-    _require_names(path, titles_line, titles, separator)
+def _parse(path: Path, lines: Iterator[Line], remarks: Sequence[Line]) -> Table:
+    """The table in these lines; `remarks` are filled while the first of them is read."""
+    first_lines = list(islice(lines, _HEAD_LINES))
+    head = head_of(path, remarks, first_lines)
+    separator = head.separator
+    if separator == SPACES:
+        separator = "\t"
+        lines = _with_tabs(lines)
+        head = head._replace(lines=list(_with_tabs(iter(head.lines))))
+    (titles_line, titles), *beginning = _rows(path, iter(head.lines), separator)
     _check_titles(path, titles)
-    titles, unit_lines = _with_units(titles, [cells for _, cells in beginning[:2]])
+    titles, unit_lines = with_units(titles, [cells for _, cells in beginning[:2]])
     decimal = _decimal([cells for _, cells in beginning], quoted=separator == ",")
-    table_cells = _Cells(len(titles), separator, decimal)
+    table_cells = Cells(len(titles), separator, decimal)
     table_cells.take_rows(beginning[unit_lines:])
     while block := list(islice(lines, _BLOCK)):
         if not table_cells.take_plain(block):
             table_cells.take_rows(_rows(path, iter(block), separator, header=(titles_line, len(titles))))
-    distinct = _distinct(titles)
-    columns = dict(zip(distinct, table_cells.columns(), strict=True))
-    texts = {title: cells for title, cells in zip(distinct, table_cells.texts, strict=True) if cells}
-    return Table(path, columns, table_cells.places, texts=texts)
+    return _table_of(path, _distinct(titles), table_cells, head.notes)
 
 
-def _require_names(path: Path, place: int, titles: Sequence[str], separator: str) -> None:
-    """Refuse a first line of numbers only: the table has no column names."""
-    if any(number(title) is None for title in titles):
-        return
-    names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
-    raise RecordingError(
-        f"{path}, line {place}: has numbers; the first line must name the columns: write "
-        f"one above it, such as {separator.join(names)}"
+def _with_tabs(lines: Iterator[Line]) -> Iterator[Line]:
+    """Lines with a tab in place of all spaces between two cells."""
+    for line in lines:
+        yield Line(line.place, "\t".join(line.text.split()))
+
+
+def _table_of(path: Path, titles: Sequence[str], cells: Cells, notes: Sequence[str]) -> Table:
+    """The table of these cells, without the rows that are remarks."""
+    columns = cells.columns()
+    all_texts = cells.texts
+    places = cells.places
+    remarks = remark_rows(titles, columns, all_texts)
+    if remarks:
+        notes = [*notes, *(_note(places[row], row, all_texts) for row in remarks[:_REMARKS_NAMED])]
+        if len(remarks) > _REMARKS_NAMED:
+            notes.append(f"{len(remarks) - _REMARKS_NAMED} further lines of text are left out.")
+        kept = np.setdiff1d(np.arange(len(places)), remarks)
+        columns = [column[kept] for column in columns]
+        new_rows = dict(zip(kept.tolist(), range(kept.size), strict=True))
+        all_texts = [
+            {new_rows[row]: text for row, text in texts.items() if row in new_rows} for texts in all_texts
+        ]
+        places = array("q", [places[row] for row in kept])
+    texts = {title: texts for title, texts in zip(titles, all_texts, strict=True) if texts}
+    units = {title: unit for title, unit in zip(titles, cells.units, strict=True) if unit}
+    return Table(
+        path,
+        dict(zip(titles, columns, strict=True)),
+        places,
+        texts=texts,
+        cell_units=units,
+        notes=tuple(notes),
     )
 
 
-class _Cells:
-    """The cells of a table, taken in row by row, or many plain rows at once."""
-
-    def __init__(self, width: int, separator: str, decimal: str) -> None:
-        """Begin without rows."""
-        self.places = array("q")
-        """The line of each row in the file."""
-        self.texts: list[dict[int, str]] = [{} for _ in range(width)]
-        """Of each column, the cells that are not numbers, by row."""
-        self._numbers = [array("d") for _ in range(width)]
-        self._separator = separator
-        self._decimal = decimal
-        self._empty = re.compile(rf"(^|{re.escape(separator)})(?={re.escape(separator)}|$)")
-
-    def take_rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
-        """Take rows of any cells, each with its place."""
-        for place, cells in rows:
-            for column, texts, text in zip(self._numbers, self.texts, cells, strict=True):
-                try:
-                    column.append(float(text))
-                except ValueError:
-                    value = number(text, self._decimal)
-                    if value is None:
-                        texts[len(self.places)] = text
-                    column.append(math.nan if value is None else value)
-            self.places.append(place)
-
-    def take_plain(self, lines: Sequence[tuple[int, str]]) -> bool:
-        """Take lines if all their cells are numbers or empty; return whether they are. If not, take none.
-
-        NumPy reads them: much faster than `take_rows`, and digits become the same numbers as in Python.
-        """
-        texts = [line for _, line in lines]
-        if self._decimal == "," and self._separator != ",":
-            texts = [text.replace(",", ".") for text in texts]
-        values = self._loaded(texts)
-        if values is None:
-            values = self._loaded([self._empty.sub(r"\1nan", text) for text in texts])
-        if values is None:
-            return False
-        if values.shape != (len(lines), len(self._numbers)):
-            return False
-        for column, numbers in zip(self._numbers, values.T, strict=True):
-            column.frombytes(numbers.tobytes())
-        self.places.extend(place for place, _ in lines)
-        return True
-
-    def _loaded(self, texts: list[str]) -> FloatArray | None:
-        """The numbers of plain lines, shape (lines, columns); None if a cell is not a number."""
-        try:
-            return np.loadtxt(texts, delimiter=self._separator, comments=None, ndmin=2)
-        except ValueError:
-            return None
-
-    def columns(self) -> list[FloatArray]:
-        """The numbers of each column; nan without one."""
-        return [np.frombuffer(column) for column in self._numbers]
+def _note(place: int, row: int, all_texts: Sequence[Mapping[int, str]]) -> str:
+    """That a line is left out, with its first text."""
+    text = next(texts[row].strip() for texts in all_texts if texts.get(row, "").strip())
+    return f"Line {place} is not a row and is left out: {text[:60]!r}."
 
 
 def _check_titles(path: Path, titles: Sequence[str]) -> None:
@@ -330,7 +303,7 @@ def _check_titles(path: Path, titles: Sequence[str]) -> None:
 
 
 def _rows(
-    path: Path, lines: Iterator[tuple[int, str]], separator: str, header: tuple[int, int] | None = None
+    path: Path, lines: Iterator[Line], separator: str, header: tuple[int, int] | None = None
 ) -> Iterator[tuple[int, list[str]]]:
     """The cells of each line, as many as the column names, with its place.
 
@@ -358,32 +331,6 @@ def _rows(
                 "column names; remove lines before the names, or begin them with #"
             )
         yield place, cells[:width] + [""] * (width - len(cells))
-
-
-def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
-    """Titles with the units of a line below the names, and the number of such lines, 0 or 1.
-
-    `cells` are those of the two lines below the titles. The first has units if its cells begin with letters
-    or symbols, some are known units, and the second has numbers there.
-    """
-    below, next_line = cells
-    units = [cell.strip() for cell in below]
-    filled = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
-    is_unit = [bool(unit) and measure(unit).known for unit in units]
-    if not any(is_unit) or any(_begins_as_number(units[k]) for k in filled):
-        return titles, 0
-    if all(number(next_line[k], ",") is None for k in filled):
-        return titles, 0
-    with_units = []
-    for title, unit, is_known in zip(titles, units, is_unit, strict=True):
-        has_unit = bool(split_title(title)[1])
-        with_units.append(f"{title} ({unit})" if is_known and not has_unit else title)
-    return with_units, 1
-
-
-def _begins_as_number(text: str) -> bool:
-    """Whether a cell is a number, or begins like one, as a date does."""
-    return number(text, ",") is not None or text[0].isdigit()
 
 
 def _decimal(rows: Sequence[Sequence[str]], *, quoted: bool) -> str:

@@ -1,15 +1,9 @@
-"""Times of loggers as seconds: numbers with a unit, counts since 1970, dates.
+"""Times of loggers as seconds: numbers with a unit, counts since 1970, dates, durations, times of day.
 
 Numbers far beyond any recording's length are counts since 1970, and their size gives the unit: seconds from
-1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
-(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or have the year last (`22/01/2021 14:48:58`); without a
-time zone they are taken as UTC.
-
-Whether the day or the month comes first differs from country to country, and `05/03/2026` is a date in both
-orders. The rows decide: in the wrong order a day above 12 is not a month, and the step past midnight becomes
-one of a month. So of the orders that give a date in every row, the one with the shorter longest step is
-taken. Within one day both give the same times; then the day comes first, or the month before a clock with am
-and pm. With dots the day comes first everywhere.
+1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates, durations and times
+of day are those of `dates`. A time of day that falls by more than half a day has passed midnight. A date and
+a time of day may be in two columns.
 
 Spreadsheets count days since 1899-12-30. Nothing tells such numbers from seconds for certain, so a column
 that looks like them is not guessed: its unit must be given.
@@ -18,26 +12,18 @@ that looks like them is not guessed: its unit must be given.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime, timedelta, timezone
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.dates import clock_seconds, from_iso, in_order, is_local, is_two_numbers, order_of
 from twinmatch.importing.tables import Table
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 
-DAY_FIRST: Final = "day/month/year"
-MONTH_FIRST: Final = "month/day/year"
-_LOCAL_DATE: Final = re.compile(
-    r"(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d{2})[ ,T]+"
-    r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*([ap]\.?m\.?)?(Z|[+-]\d{2}:\d{2})?",
-    re.IGNORECASE,
-)
-"""A date with the year last, and a time of day."""
 _ZONE: Final = re.compile(r":\d{2}.*[+-](?!00:?00)\d{2}:?\d{2}$")
 """A time zone other than UTC."""
 _SINCE_1970: Final = 1e8
@@ -47,6 +33,10 @@ _UNITS_SINCE_1970: Final = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (_SINCE_1970,
 _UNIT_AT_END: Final = re.compile(
     r".[ _.-](ns|us|ms|s|secs?|seconds?|min|mins|minutes?|h|hrs?|hours?|d|days?)$", re.I
 )
+_SHORT_UNIT: Final = re.compile(r"(ns|us|ms|sec|seconds?)", re.IGNORECASE)
+"""Units that are a title by themselves."""
+_WRITTEN_OUT: Final = {"millis": "ms", "micros": "us", "nanos": "ns"}
+"""Beginnings of units within a title, as in `millis()`."""
 _LIKELY_DAYS: Final = (36526.0, 73051.0)
 """Days since 1899-12-30 from the year 2000 on, to 2100."""
 _LONGEST_STEP: Final = 0.05
@@ -74,6 +64,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         table: the table.
         title: that of the column.
         unit: unit of the numbers; empty: that in the title (`time (ms)`, `time_ms`), or judged by their size.
+            Of times such as `12:30` that of the first number.
         scale: factor applied to the numbers first.
 
     Raises:
@@ -83,9 +74,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     if texts:
         before_first_text = table.columns[title][: min(texts)]
         if not np.isfinite(before_first_text).any():
-            first_text = next(iter(texts.values()))
-            order = order_of(texts.values()) if is_local(first_text) else ""
-            return _since(_dates(table, title, texts, order))._replace(order=order)
+            return _times_of_texts(table, title, texts, unit or table.unit(title))
     values = table.values(title) * scale
     sizes = np.abs(values[np.isfinite(values)])
     largest = float(np.max(sizes, initial=0.0))
@@ -100,6 +89,78 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     if largest / per_second >= _SINCE_1970:
         return _since(values / per_second)
     return Times(values / per_second, None)
+
+
+def read_date_and_time(table: Table, date_title: str, time_title: str) -> Times:
+    """The times in two columns, one of dates and one of times of day.
+
+    Raises:
+        RecordingError: a row has no date or no time of day.
+    """
+    dates = table.texts.get(date_title, {})
+    clocks = table.texts.get(time_title, {})
+    joined = {row: f"{dates[row].strip()} {clocks[row].strip()}" for row in dates if row in clocks}
+    both = f"{date_title}, {time_title}"
+    if not joined:
+        raise RecordingError(
+            f"{table.path}: {both!r} are not a date and a time of day such as 2021-01-22 and 14:48:58; map "
+            "one column to time"
+        )
+    empty = np.full(len(table.lines), np.nan)
+    joined_table = Table(table.path, {both: empty}, table.lines, table.row, {both: joined})
+    return _times_of_texts(joined_table, both, joined, "")
+
+
+def _times_of_texts(table: Table, title: str, texts: Mapping[int, str], unit: str) -> Times:
+    first_text = next((text for text in texts.values() if text.strip()), "")
+    if _is_clock(first_text):
+        return Times(_past_midnight(_clock_column(table, title, texts, _first_unit(title, unit))), None)
+    order = order_of(texts.values()) if is_local(first_text) else ""
+    return _since(_dates(table, title, texts, order))._replace(order=order)
+
+
+def _is_clock(text: str) -> bool:
+    """Whether a text is a duration or a time of day."""
+    return is_two_numbers(text) or clock_seconds(text) is not None
+
+
+def _first_unit(title: str, unit: str) -> str:
+    """Unit of the first of two numbers, as in `12:30`: `h`, `min`, or empty where nothing says it."""
+    words = f"{title} {unit}".lower()
+    if re.search(r"\bm+(in)?:s+\b", words) or unit == "min":
+        return "min"
+    return "h" if re.search(r"\bh+:m+", words) or unit == "h" else ""
+
+
+def _clock_column(table: Table, title: str, texts: Mapping[int, str], first_unit: str) -> FloatArray:
+    """Seconds of durations or times of day, shape (N,).
+
+    Raises:
+        RecordingError: a cell is neither, or nothing says which two numbers it has.
+    """
+    seconds = np.full(len(table.lines), np.nan)
+    for row, text in texts.items():
+        value = clock_seconds(text, first_unit)
+        if value is None and is_two_numbers(text):
+            raise RecordingError(
+                f"{table.place(row)}: {title!r} is {text.strip()!r}: hours and minutes, or minutes and "
+                f"seconds? Write time='{title}; unit=h' or time='{title}; unit=min'"
+            )
+        if value is None:
+            raise RecordingError(
+                f"{table.place(row)}: {title!r} is {text.strip()[:40]!r}, not a time such as 14:48:58.7"
+            )
+        seconds[row] = value
+    return seconds
+
+
+def _past_midnight(seconds: FloatArray) -> FloatArray:
+    """Times of day with a day added wherever they fall by more than half of one, shape (N,)."""
+    is_there = np.isfinite(seconds)
+    falls = np.diff(seconds[is_there], prepend=seconds[is_there][:1]) < -0.5 * _DAY
+    continued = seconds.copy()
+    continued[is_there] += _DAY * np.cumsum(falls)
+    return continued
 
 
 def _per_second(table: Table, title: str, unit: str) -> float:
@@ -117,8 +178,18 @@ def _per_second(table: Table, title: str, unit: str) -> float:
 
 def unit_in(title: str) -> str:
     """The unit of time with which a title ends, as in `t_ms` or `elapsed hours`; empty without one."""
-    ending = _UNIT_AT_END.search(title.strip())
+    plain = title.strip()
+    for written, unit in _WRITTEN_OUT.items():
+        if written in plain.lower():
+            return unit
+    ending = _UNIT_AT_END.search(plain) or _SHORT_UNIT.fullmatch(plain)
     return ending[1].lower() if ending else ""
+
+
+def is_since_1970(values: FloatArray) -> bool:
+    """Whether all are so large that they are counts since 1970."""
+    finite = values[np.isfinite(values)]
+    return bool(finite.size) and bool((finite >= _SINCE_1970).all())
 
 
 def _may_be_days(values: FloatArray) -> bool:
@@ -160,7 +231,7 @@ def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> Fl
     first_row: dict[bool, int] = {}  # by whether it has a time zone
     for k in sorted({*texts, *np.flatnonzero(np.isfinite(numbers)).tolist()}):
         text = texts.get(k, f"{numbers[k]:g}")
-        stamp = in_order(text, order) if order else _from_iso(text)
+        stamp = in_order(text, order) if order else from_iso(text)
         if stamp is None:
             raise RecordingError(
                 f"{table.place(k)}: {title!r} is {text.strip()[:40]!r}, neither a number nor a date such as "
@@ -176,76 +247,3 @@ def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> Fl
             f"{table.row_name(first_row[False])}; write all rows alike"
         )
     return seconds
-
-
-def _from_iso(text: str) -> float | None:
-    """Seconds since 1970 of a date of ISO 8601, as UTC without a time zone; None if the text is not one."""
-    plain = text.strip().replace("/", "-").replace(",", ".")
-    plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
-    head, dot, tail = plain.partition(".")
-    if dot:  # Python 3.10 accepts three or six decimals, loggers write any number
-        digits = len(tail) - len(tail.lstrip("0123456789"))
-        plain = f"{head}.{tail[:digits][:6]:0<6}{tail[digits:]}"
-    try:
-        stamp = datetime.fromisoformat(plain)
-    except ValueError:
-        return None
-    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)).timestamp()
-
-
-def is_local(text: str) -> bool:
-    """Whether a cell has the form of a date with the year last, and of a time of day."""
-    return _LOCAL_DATE.fullmatch(text.strip()) is not None
-
-
-def in_order(text: str, order: str) -> float | None:
-    """Seconds since 1970 of a date with the year last, as UTC without a time zone.
-
-    None if the text is not a date in this `order` of day and month.
-    """
-    match = _LOCAL_DATE.fullmatch(text.strip())
-    if match is None:
-        return None
-    first, _, second, year, hour, minute, seconds, fraction, am_or_pm, zone = match.groups()
-    day, month = (first, second) if order == DAY_FIRST else (second, first)
-    if am_or_pm is not None and not 1 <= int(hour) <= 12:
-        return None
-    hours = int(hour)
-    if am_or_pm is not None:
-        hours = hours % 12 + (12 if am_or_pm[0] in "pP" else 0)
-    try:
-        stamp = datetime(
-            int(year) + (2000 if len(year) == 2 else 0),
-            int(month),
-            int(day),
-            hours,
-            int(minute),
-            int(seconds or 0),
-            tzinfo=timezone.utc,
-        )
-    except ValueError:
-        return None
-    hours_east = 0 if zone in {None, "Z", "z"} else int(f"{zone[0]}1") * (int(zone[1:3]) + int(zone[4:]) / 60)
-    return (stamp + timedelta(seconds=float(f"0.{fraction or 0}"), hours=-hours_east)).timestamp()
-
-
-def order_of(texts: Iterable[str]) -> str:
-    """The order of day and month in a column of dates with the year last; empty cells are skipped."""
-    dates = [text.strip() for text in texts if text.strip()]
-    if not dates:
-        return DAY_FIRST
-    has_dots = "." in dates[0][:3]
-    if has_dots:
-        return DAY_FIRST
-    has_am_or_pm = dates[0][-1] in "mM."
-    orders = (MONTH_FIRST, DAY_FIRST) if has_am_or_pm else (DAY_FIRST, MONTH_FIRST)
-    return min(orders, key=lambda order: _longest_step(dates, order))  # of equal ones the first
-
-
-def _longest_step(texts: Sequence[str], order: str) -> float:
-    """The longest time between two rows, s; infinite if a row is not a date in this order."""
-    stamps = [in_order(text, order) for text in texts]
-    if any(stamp is None for stamp in stamps):
-        return np.inf
-    seconds: FloatArray = np.array(stamps, dtype=np.float64)
-    return float(np.abs(np.diff(seconds)).max(initial=0.0))

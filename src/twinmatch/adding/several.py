@@ -1,0 +1,247 @@
+"""First-order lags of a plant with several outputs or inputs, estimated from a table of its signals.
+
+Each output is taken as a lag of its own that all inputs move: y[k+1] − y[k] = a + b·y[k] + Σ c·u[k] (and
+disturbances), by least squares over blocks of samples long enough to move further than the noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.adding.noise import noise_of
+from twinmatch.adding.proposal import (
+    Signal,
+    alike,
+    is_signal,
+    note_on_period,
+    notes_on_readings,
+    on_one_clock,
+    range_of,
+    round_out,
+    rounded,
+    signal_name,
+    signal_values,
+    unit_of,
+    without_spikes,
+    word,
+)
+from twinmatch.importing.mapped import notes_on_times, require_columns, times_of, with_titles
+from twinmatch.importing.resampling import usual_period
+from twinmatch.importing.tables import Table
+from twinmatch.sampling.sources import SignalMap, SignalSource
+from twinmatch.signals import FloatArray
+
+__all__ = ["LaggedOutput", "SeveralProposal", "has_several", "propose_several"]
+
+_FEWEST_BLOCKS = 20
+"""Fewest blocks per coefficient of a model."""
+_MOVES = 5.0
+"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
+
+
+@dataclass(frozen=True)
+class LaggedOutput:
+    """An output, and the lag that it is taken as."""
+
+    signal: Signal
+    noise: float
+    gains: tuple[float, ...]
+    """Steady-state gain of each input."""
+    lag: float
+    """Time constant, s."""
+    rest: float
+    """Steady-state output without inputs; with `around`, its excess over that."""
+    around: Signal | None
+    """The measured disturbance that it tends to without inputs."""
+
+
+@dataclass(frozen=True)
+class SeveralProposal:
+    """Numbers for a first file of a plant with several outputs or inputs."""
+
+    outputs: tuple[LaggedOutput, ...]
+    inputs: tuple[Signal, ...]
+    disturbances: tuple[Signal, ...]
+    period: float
+    """Sampling period, s."""
+    sources: dict[str, SignalSource]
+    """By signal, with the names of this plant."""
+    table: str
+    """Name of the table's file."""
+    split: bool
+    """Whether the table has gaps, or a clock that was set back."""
+    bridge: float | None
+    """Longest step between rows that is to be interpolated, s; None: the usual one."""
+    notes: tuple[str, ...]
+    """Sentences on how the table was read, for the user."""
+
+
+def has_several(signal_map: SignalMap) -> bool:
+    """Whether a map has numbered outputs or inputs, such as `input.2`."""
+    return any("." in name and is_signal(name, name.partition(".")[0]) for name in signal_map.sources)
+
+
+def propose_several(table: Table, signal_map: SignalMap, *, longest: float | None = None) -> SeveralProposal:
+    """Estimate the numbers for a first plant file from a table.
+
+    Args:
+        table: the table.
+        signal_map: columns of time, `output.1`, `input.1` and so on; every other name is a disturbance.
+        longest: longest step between rows that is interpolated, s; judged by the rows if not given.
+
+    Raises:
+        RecordingError: an output or an input is missing, or the table cannot be used.
+    """
+    names = _NamesByRole.of(signal_map)
+    require_columns(table, signal_map, (*names.outputs, *names.inputs))
+    sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
+    times = times_of(table, sources.get("time"), signal_map.period)
+    resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
+    names_in_file: list[str] = []
+    inputs = []
+    for name in names.inputs:
+        unit = unit_of(table, sources, name)
+        limits = range_of(signal_values(table, sources, name))
+        inputs.append(Signal(signal_name(sources, name, names_in_file), unit, *limits))
+    disturbances = {}
+    for name in names.disturbances:
+        unit = unit_of(table, sources, name)
+        values = resampled.columns[name]
+        bounds = (float(values.min()), float(values.max()))
+        disturbances[name] = Signal(word(name, names_in_file), unit, *bounds)
+    longest_stretch = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
+    columns = {name: column[longest_stretch] for name, column in resampled.columns.items()}
+    moving = [columns[name] for name in (*names.inputs, *names.disturbances)]
+    outputs = []
+    for name in names.outputs:
+        unit = unit_of(table, sources, name)
+        signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
+        around = _around(unit, disturbances, columns)
+        outputs.append(_lagged(signal, columns[name], moving, inputs, period=resampled.period, around=around))
+    fastest = min(output.lag for output in outputs)
+    period = signal_map.period or usual_period(fastest, resampled.period)
+    return SeveralProposal(
+        outputs=tuple(outputs),
+        inputs=tuple(inputs),
+        disturbances=tuple(disturbances.values()),
+        period=period,
+        sources=_by_names_in_file(signal_map, disturbances),
+        table=table.path.name,
+        split=bool(resampled.gaps),
+        bridge=bridge,
+        notes=(
+            *table.notes,
+            *notes_on_readings(table, sources),
+            *notes_on_times(table, sources.get("time"), times),
+            *note_on_period(fastest, resampled.period, period),
+        ),
+    )
+
+
+class _NamesByRole(NamedTuple):
+    """The names in a map by what they are."""
+
+    outputs: list[str]
+    inputs: list[str]
+    disturbances: list[str]
+
+    @classmethod
+    def of(cls, signal_map: SignalMap) -> _NamesByRole:
+        """Those of a map; an output and an input are needed, whether it has them or not."""
+        names = list(signal_map.sources)
+        outputs = [name for name in names if is_signal(name, "output")] or ["output"]
+        inputs = [name for name in names if is_signal(name, "input")] or ["input"]
+        references = [name for name in names if is_signal(name, "reference")]
+        others = {"time", *outputs, *inputs, *references}
+        return cls(outputs, inputs, [name for name in names if name not in others])
+
+
+def _around(
+    unit: str, disturbances: Mapping[str, Signal], columns: Mapping[str, FloatArray]
+) -> _Around | None:
+    """The first disturbance of the kind of an output with this unit; None without one."""
+    for name, disturbance in disturbances.items():
+        if alike(disturbance.unit, unit):
+            return _Around(disturbance, columns[name])
+    return None
+
+
+def _by_names_in_file(signal_map: SignalMap, disturbances: dict[str, Signal]) -> dict[str, SignalSource]:
+    """The sources with the names that disturbances have in the file."""
+    sources = {}
+    for name, source in signal_map.sources.items():
+        sources[disturbances[name].name if name in disturbances else name] = source
+    return sources
+
+
+class _Around(NamedTuple):
+    """What an output tends to without inputs, and its values, shape (N,)."""
+
+    signal: Signal
+    values: FloatArray
+
+
+def _lagged(
+    signal: Signal,
+    reading: FloatArray,
+    moving: Sequence[FloatArray],
+    inputs: Sequence[Signal],
+    *,
+    period: float,
+    around: _Around | None,
+) -> LaggedOutput:
+    """The lag of one output, of its readings, shape (N,), and what moves it: inputs, then disturbances."""
+    noise = noise_of(reading, moving)
+    quiet = without_spikes(reading, noise)
+    excess = quiet if around is None else quiet - around.values
+    drives = moving[: len(inputs)]
+    gains, lag, rest = _first_order(excess, drives, noise, period)
+    reach = float(np.ptp(reading)) or 1.0
+    level = 0.0 if around is None else float(around.values.mean())
+    steady = [level + rest]
+    for gain, drive in zip(gains, inputs, strict=True):
+        steady += [level + rest + gain * limit for limit in (drive.low, drive.high)]
+    low = min(float(reading.min()), *steady) - reach
+    high = max(float(reading.max()), *steady) + reach
+    low, high = round_out(low, high)
+    return LaggedOutput(
+        signal._replace(low=low, high=high),
+        noise,
+        tuple(rounded(gain) for gain in gains),
+        rounded(lag),
+        rounded(rest, 3),
+        None if around is None else around.signal,
+    )
+
+
+def _first_order(
+    output: FloatArray, inputs: Sequence[FloatArray], noise: float, period: float
+) -> tuple[list[float], float, float]:
+    """Gains, lag, s, and rest of the difference equation, of the shortest blocks that show it.
+
+    If none do, the gains are a share of the ranges, and the lag a tenth of the recording.
+    """
+    coefficients = 2 + len(inputs)
+    for block in (2**k for k in range(12)):
+        if output.size < _FEWEST_BLOCKS * coefficients * block:
+            break
+        whole = output.size - output.size % block
+        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (output, *inputs)]
+        before = means[0][:-1]
+        changes = np.diff(means[0])
+        if np.std(changes) < _MOVES * noise / math.sqrt(block):
+            continue
+        table = np.column_stack([np.ones(before.size), before, *(signal[:-1] for signal in means[1:])])
+        constant, by_output, *by_input = np.linalg.lstsq(table, changes, rcond=None)[0].tolist()
+        back = -by_output
+        if 0.0 < back < 1.0:
+            lag = -block * period / math.log1p(-back)
+            return [effect / back for effect in by_input], lag, constant / back
+    reach = float(np.ptp(output)) or 1.0
+    gains = [reach / (float(np.ptp(drive)) or 1.0) / len(inputs) for drive in inputs]
+    return gains, 0.1 * output.size * period, float(output[0])

@@ -1,0 +1,246 @@
+"""`new-plant` for several outputs and inputs; each command takes what the one before has advised."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.plants import Lag
+from twinmatch.adding import check_plant, files_of, propose
+from twinmatch.adding.data import compare_structures
+from twinmatch.adding.several import propose_several
+from twinmatch.cli import main
+from twinmatch.dynamics import begin, simulate_driven
+from twinmatch.importing.column_map import columns_of, proposed
+from twinmatch.importing.table_files import open_table
+from twinmatch.plants import find_plant
+from twinmatch.sampling.sources import SignalMap, parse_map
+from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import TwinSettings
+
+
+def written(path: Path, columns: dict[str, FloatArray]) -> Path:
+    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    return path
+
+
+def held(levels: list[float], samples: int, each: int) -> FloatArray:
+    return np.resize(np.repeat(levels, each), samples).astype(np.float64)
+
+
+def lagged(steady: FloatArray, lag: float, start: float, seed: int) -> FloatArray:
+    """A lag of a steady state, at samples 1 s apart, with noise of 0.05."""
+    value = start
+    values = []
+    for level in steady:
+        values.append(value)
+        value += (level - value) / lag
+    return np.array(values) + 0.05 * np.random.default_rng(seed).standard_normal(steady.size)
+
+
+def two_zones(path: Path) -> Path:
+    """Two zones, each with a heater that warms the other a little."""
+    left = held([0, 60, 20, 80, 40, 0], 1200, 150)
+    right = held([30, 0, 70, 10, 50], 1200, 110)
+    return written(path, {
+        "time (s)": np.arange(1200.0),
+        "left (degC)": lagged(20 + 0.5 * left + 0.1 * right, 60.0, 20.0, 1),
+        "right (degC)": lagged(20 + 0.1 * left + 0.4 * right, 90.0, 20.0, 2),
+        "left_pwm (%)": left,
+        "right_pwm (%)": right,
+    })  # fmt: skip
+
+
+def two_relays(path: Path, *, cool_moves: bool = True) -> Path:
+    """A tank with one relay that heats, and one that cools, or that moves nothing."""
+    random = np.random.default_rng(3)
+    heat = np.repeat(random.integers(0, 2, 40), 30).astype(np.float64)
+    cool = np.repeat(random.integers(0, 2, 40), 30).astype(np.float64)
+    steady = 20 + 40 * heat - 30 * cool * cool_moves
+    columns = {"time": np.arange(1200.0), "Temp (degC)": lagged(steady, 100.0, 20.0, 4)}
+    return written(path, columns | {"heat": heat, "cool": cool})
+
+
+ZONES = ["time=time", "output.1=left", "output.2=right", "input.1=left_pwm", "input.2=right_pwm"]
+
+
+def test_gains_and_lags_of_several_loops_are_near_the_truth(tmp_path: Path) -> None:
+    proposal = propose_several(open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES))
+    assert [output.signal.name for output in proposal.outputs] == ["left", "right"]
+    assert [u.name for u in proposal.inputs] == ["left_pwm", "right_pwm"]
+    for output, gains, lag in zip(proposal.outputs, [(0.5, 0.1), (0.1, 0.4)], (60.0, 90.0), strict=True):
+        # Least squares over blocks: some percent of the largest gain.
+        assert output.gains == pytest.approx(gains, abs=0.05)
+        assert output.lag == pytest.approx(lag, rel=0.2)
+        assert output.signal.unit == "°C"
+
+
+def test_the_files_of_several_loops_have_no_findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    proposal = propose_several(open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES))
+    for name, text in files_of("zones_of_two", proposal).items():
+        (tmp_path / name).write_text(text)
+    assert check_plant(find_plant("zones_of_two.py")).findings == ()
+    runpy.run_path("test_zones_of_two.py")["test_its_parameters_are_recovered"]()
+
+
+def test_a_table_of_two_loops_gives_the_map_of_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    two_zones(Path("zones.csv"))
+    assert main(["new-plant", "zones_left", "--from", "zones.csv"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in lines if line.startswith("The table has signals of 2 loops")]
+    given_map = shlex.split(line.partition("--map ")[2])
+    assert main(["new-plant", "zones_both", "--from", "zones.csv", "--map", *given_map]) == 0
+    assert sorted(find_plant("zones_both.py").outputs) == ["left", "right"]
+
+
+def guess(path: Path) -> dict[str, str]:
+    table = open_table(path)
+    return {signal: source.text for signal, source in proposed(columns_of(table), table).items()}
+
+
+def test_two_relays_are_two_inputs_if_the_output_moves_with_both(tmp_path: Path) -> None:
+    expected = {"time": "time", "output": "Temp (degC)", "input.1": "heat", "input.2": "cool"}
+    assert guess(two_relays(tmp_path / "relays.csv")) == expected
+    assert guess(two_relays(tmp_path / "one.csv", cool_moves=False))["input"] == "heat"
+
+
+def test_of_two_things_the_signals_of_one_are_taken(tmp_path: Path) -> None:
+    k = np.arange(600.0)
+    bed = held([0, 60, 40], 600, 200)
+    nozzle = held([0, 200, 220, 210], 600, 150)
+    path = written(tmp_path / "printer.csv", {
+        "time (s)": k,
+        "bed_target": bed,
+        "bed (degC)": lagged(bed, 50.0, 20.0, 1),
+        "bed_pwm": bed / 100 + 0.01 * np.sin(k),
+        "nozzle_target": nozzle,
+        "nozzle (degC)": lagged(nozzle, 20.0, 20.0, 2),
+        "nozzle_pwm": nozzle / 300 + 0.01 * np.cos(k),
+    })  # fmt: skip
+    signals = guess(path)
+    thing = signals["output"].split()[0]
+    assert signals == {
+        "time": "time (s)",
+        "output": f"{thing} (degC)",
+        "input": f"{thing}_pwm",
+        "reference": f"{thing}_target",
+    }
+
+
+def test_of_a_cell_the_current_is_the_input(tmp_path: Path) -> None:
+    current = held([-30, 20, 0, -10], 800, 100)
+    columns = {"Time(s)": np.arange(800.0), "Current(A)": current}
+    path = written(
+        tmp_path / "cell.csv", columns | {"Voltage(V)": lagged(3.5 + 0.01 * current, 30.0, 3.5, 1)}
+    )
+    assert guess(path) == {"time": "Time(s)", "output": "Voltage(V)", "input": "Current(A)"}
+
+
+@pytest.mark.parametrize("title", ["SetTemp", "T_soll", "target temperature", "SV", "temp set"])
+def test_a_set_point_is_not_an_input(tmp_path: Path, title: str) -> None:
+    wanted = held([20, 40, 30], 600, 200)
+    columns = {"time": np.arange(600.0), "temp": lagged(wanted, 30.0, 20.0, 1), title: wanted}
+    signals = guess(written(tmp_path / "log.csv", columns))
+    assert signals == {"time": "time", "output": "temp", "reference": title}
+
+
+def one_loop(path: Path, kind: str) -> Path:
+    """A heater's log: `limits` reaches 101, `gap` has a pause, `pace` slows down at rest, `fine` is fine."""
+    u = held([0, 60, 20, 101, 40, 0, 70, 30], 2400, 300)
+    y = lagged(20 + 0.5 * u, 120.0, 20.0, 5)
+    time = np.arange(2400.0)
+    kept = np.ones(2400, dtype=np.bool_)
+    if kind == "gap":
+        kept[1500:1700] = False
+    elif kind == "pace":
+        kept = (np.arange(2400) % 300 < 150) | (np.arange(2400) % 20 == 0)
+    elif kind == "fine":
+        time = time / 10.0
+        u = held([0, 60, 20], 2400, 800)
+        y = lagged(20 + 0.5 * u, 1200.0, 20.0, 5)
+    return written(path, {"time (s)": time[kept], "T (degC)": y[kept], "output (%)": u[kept]})
+
+
+def advised(capsys: pytest.CaptureFixture[str]) -> list[list[str]]:
+    """The commands of twinmatch that were advised, in words."""
+    lines = [line.partition(". ")[2].partition("#")[0] for line in capsys.readouterr().out.splitlines()]
+    return [shlex.split(line)[1:] for line in lines if line.startswith("twinmatch ")]
+
+
+@pytest.mark.parametrize("kind", ["limits", "gap", "pace", "fine", "relays"])
+def test_each_command_takes_what_the_one_before_advises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make = two_relays(Path("log.csv")) if kind == "relays" else one_loop(Path("log.csv"), kind)
+    assert main(["new-plant", f"advised_{kind}", "--from", str(make)]) == 0
+    check, imported, replayed = advised(capsys)
+    assert ("--bridge" in check) is (kind == "pace")
+    assert ("split" in check) is (kind == "gap")
+    assert main(check) in (0, 1), capsys.readouterr().err  # findings are for the user, a refusal would be 2
+    assert main(imported) == 0, capsys.readouterr().err
+    if kind == "limits":
+        assert main(replayed) == 0, capsys.readouterr().err
+
+
+def test_limits_hold_every_row(tmp_path: Path) -> None:
+    """The highest command lies between two samples of the period; resampled, it is lower."""
+    path = one_loop(tmp_path / "log.csv", "limits")
+    signal_map = parse_map(["time=time", "output=T", "input=output"])
+    drive = propose(open_table(path), signal_map).input
+    assert (drive.low, drive.high) == (0.0, 101.0)
+    coarse = SignalMap(signal_map.sources, period=700.0)
+    assert propose(open_table(path), coarse).input.high == 101.0
+
+
+def test_rows_much_finer_than_the_plant_get_a_period_of_the_plant(tmp_path: Path) -> None:
+    signal_map = parse_map(["time=time", "output=T", "input=output"])
+    proposal = propose(open_table(one_loop(tmp_path / "log.csv", "fine")), signal_map)
+    assert 60.0 < proposal.lag < 240.0  # 120 s, of rows 0.1 s apart
+    assert proposal.period in {1.0, 2.0, 5.0}
+    (note,) = proposal.notes
+    assert note.startswith("The rows are 0.1 s apart, the plant's time constant is about")
+
+
+def test_structures_are_compared_where_the_plant_moves() -> None:
+    """A quarter of an hour at rest precedes the steps; more than two hours at 1 s are not compared."""
+    truth = Lag.model().parameters(gain=3.0, lag=8.0)
+    u = np.concatenate([np.zeros(7300), held([4, -2, 6, 0], 900, 60)])
+    run = simulate_driven(truth, u, states=begin(truth, 0.0), period=1.0)
+    y = run.output + 0.01 * np.random.default_rng(1).standard_normal(u.size)
+    window = Window(np.zeros(u.size), y, u, period=1.0)
+    compared = compare_structures([window], Lag, TwinSettings.of(Lag, period=1.0, law=None))
+    assert compared.notes[0] == "each structure fitted to 7200 of 8200 samples:"
+    # What the noise leaves; at rest alone the gain would stay where it begins, at 2.
+    gain, lag = (float(value) for value in re.findall(r"(?:gain|lag) = ([\d.]+)", compared.notes[1]))
+    assert (gain, lag) == pytest.approx((3.0, 8.0), rel=0.01)
+
+
+def test_a_short_stretch_is_left_out_with_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    u = held([0, 60, 20, 80, 40], 1100, 200)
+    columns = {
+        "time (s)": np.arange(1100.0),
+        "T (degC)": lagged(20 + 0.5 * u, 60.0, 20.0, 6),
+        "heater (%)": u,
+    }
+    kept = (np.arange(1100) < 900) | (np.arange(1100) >= 1039)
+    written(Path("log.csv"), {title: column[kept] for title, column in columns.items()})
+    assert main(["new-plant", "with_short_stretch", "--from", "log.csv"]) == 0
+    check, *_ = advised(capsys)
+    main(check)
+    shown = capsys.readouterr().out
+    assert "1 stretch is left out of the comparison: 61 samples, fewer than 90 each" in shown
+    assert "each structure fitted to 900 of 961 samples" in shown

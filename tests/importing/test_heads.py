@@ -1,0 +1,119 @@
+"""Names, remarks and units in text tables: no row gets lost as names, no remark makes a column text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twinmatch.importing.tables import Table, read_table
+from twinmatch.sessions.files import RecordingError
+from twinmatch.units import quantity_in
+
+ROWS = [f"{k},{20 + k % 5}.5,{k % 2}" for k in range(40)]
+DATED = [f"2026-03-01 10:00:{k:02d},{20 + k % 5}.5,{k % 2}" for k in range(40)]
+
+
+def table_of(folder: Path, *lines: str) -> Table:
+    path = folder / "log.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return read_table(path)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["# logger 7", "#time,T,on", *ROWS],
+        ["# time, T, on", "# s, degC, -", *ROWS],
+        ["#time,T,on", *DATED],
+        ["Logger 7", "Serial: 12;34", "", "time,T,on", *ROWS],
+        ["time,T,on", *ROWS, "End of log"],
+        ["time,T,on", *ROWS[:20], "logger restarted,,", "time,T,on", *ROWS[20:]],
+        ["time,T,on", *ROWS, "mean,22.5,0.5", "last sample at 10:00"],
+        ["time,T,on", *DATED, "End of log,,"],
+        ["time T on", *(row.replace(",", "   ") for row in ROWS)],
+        ["# time T on", *(row.replace(",", " ") for row in ROWS)],
+    ],
+    ids=["hash", "hash, units", "hash, dates", "preamble", "foot", "inside", "sums", "foot of dates",
+         "spaces", "savetxt"],
+)  # fmt: skip
+def test_every_row_is_read_whatever_stands_around_them(tmp_path: Path, lines: list[str]) -> None:
+    table = table_of(tmp_path, *lines)
+    assert [title.partition(" ")[0] for title in table.columns] == ["time", "T", "on"]
+    assert table.values(table.find("T")).tolist() == [20.5 + k % 5 for k in range(40)]
+
+
+def test_what_is_left_out_is_named_by_its_line(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "Logger 7", "time,T,on", *ROWS, "End of log")
+    assert table.notes == (
+        "Line 1 stands above the column names and is left out.",
+        "Line 43 is not a row and is left out: 'End of log'.",
+    )
+    assert table_of(tmp_path, "# all names", "#time,T,on", *ROWS).notes == (
+        "The column names are those behind the # in line 2.",
+    )
+    assert table_of(tmp_path, "time,T,on", *ROWS).notes == ()
+
+
+LABELLED = [f"T:{20 + k}.5,duty:{k % 2}" for k in range(40)]
+
+
+@pytest.mark.parametrize("rows", [ROWS, DATED, LABELLED, [row.replace(",0", ",OFF") for row in DATED]])
+def test_a_row_is_not_taken_for_names(tmp_path: Path, rows: list[str]) -> None:
+    with pytest.raises(RecordingError, match=r"line 1: has .*; the first line must name the columns"):
+        table_of(tmp_path, *rows)
+
+
+def test_names_may_be_numbers_beside_others(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "time,1,2", *ROWS)
+    assert list(table.columns) == ["time", "1", "2"]
+
+
+def test_a_wrong_cell_inside_stays_an_error_with_its_line(tmp_path: Path) -> None:
+    lines = ["time,T,on", *ROWS]
+    lines[12] = "11,cold,1"
+    with pytest.raises(RecordingError, match="line 13: 'T' is 'cold', which is not a number"):
+        table_of(tmp_path, *lines).values("T")
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity"),
+    [
+        ("17.99 °C", (17.99, "°C")),
+        ("0%", (0.0, "%")),
+        ("21,5 W", (21.5, "W")),
+        ("20.6 ℃", (20.6, "℃")),
+        ("-3.5e2 mV", (-350.0, "mV")),
+        ("1,234 W", None),  # thousands, or not
+        ("2nd heater", None),
+        ("12:30", None),
+        ("2026-03-01", None),
+        ("0d 00:00:02", None),
+        ("heat", None),
+        ("5", None),
+    ],
+)
+def test_a_number_with_its_unit_is_a_quantity(text: str, quantity: tuple[float, str] | None) -> None:
+    assert quantity_in(text) == quantity
+
+
+def test_units_and_commas_in_cells_are_read(tmp_path: Path) -> None:
+    rows = [f'{k};{20 + k}.5 °C;{10 * k}%;"21,{k}"' for k in range(10)]
+    table = table_of(tmp_path, "time;T;duty;room", *rows)
+    assert table.values("T").tolist() == [20.5 + k for k in range(10)]
+    assert (table.unit("T"), table.unit("duty"), table.unit("room")) == ("°C", "%", "")
+    assert table.values("duty").tolist() == [10.0 * k for k in range(10)]
+    assert table.values("room").tolist() == [float(f"21.{k}") for k in range(10)]
+
+
+def test_a_line_of_units_may_have_brackets(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "Time,Channel A", "(s),(degC)", "", *(f"{k},{20 + k}" for k in range(9)))
+    assert list(table.columns) == ["Time (s)", "Channel A (degC)"]
+
+
+def test_two_units_in_one_column_are_refused(tmp_path: Path) -> None:
+    rows = [f"{k},{20 + k} °C" for k in range(10)]
+    with pytest.raises(RecordingError, match="line 12: 'T' is '68 °F', which is not a number"):
+        table_of(tmp_path, "time,T", *rows, "10,68 °F", *(f"{k},{20 + k} °C" for k in range(11, 30))).values(
+            "T"
+        )
