@@ -34,7 +34,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MAX_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
-from twinmatch.twin import Door, TwinSettings, filled_stretches
+from twinmatch.twin import Settling, TwinSettings, filled_stretches
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
@@ -149,7 +149,7 @@ class Ending(Processes):
 def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
     plan = LivePlan(Path("rig.yaml"), session=Path("run"), virtual=VirtualPlan(speed=20.0))
     live = Live(plan)
-    live.samples.close()
+    live.results.samples.close()
     run = _LiveRun(live, Lines())
     run.show("[virtual_rig] clock: localhost:9")
     run.processes = processes = Ending(name, code)
@@ -224,8 +224,8 @@ def judged() -> tuple[list[Sample], list[Verdict]]:
 def test_the_launcher_keeps_no_samples_in_memory() -> None:
     live = Live(LivePlan(Path("rig.yaml")))
     assert growth(lambda k: live.take_sample(Sample(k, k, 1.0, 2.0, 3.0)), 1000, 20_000) < 20_000
-    assert len(live.samples) == 21_000
-    live.samples.close()
+    assert len(live.results.samples) == 21_000
+    live.results.samples.close()
 
 
 def test_the_monitor_keeps_no_samples() -> None:
@@ -272,19 +272,19 @@ def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
     samples = untaught.spiked()
     verdicts = list(untaught.judged().verdicts)
     live = Live(LivePlan(Path("rig.yaml")))
-    live.door = Door.of(untaught.settings())
+    live.settling = Settling(untaught.settings())
     for sample in samples:
         live.take_sample(sample)
         if sample.index % 70 == 0:  # and then all at once
             while verdicts and verdicts[0].sample <= sample.index - 40:
-                live.door.learn(verdicts.pop(0))
+                live.take_verdict(verdicts.pop(0))
             live.settle(lambda before, now=sample.index - 40: before <= now)
-    assert not live.waiting, "the twin is known"
-    window, stretches = live.longest(1.0)
+    assert not live.settling.waiting, "the twin is known"
+    window, stretches = live.results.longest(1.0)
     assert (stretches, live.received) == (1, len(samples))
     assert window.lost == judgement.stretches[0].lost
     assert np.array_equal(window.output, judgement.stretches[0].output)
-    live.samples.close()
+    live.results.samples.close()
 
 
 def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
@@ -296,14 +296,14 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
     law = None
     for received in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
-        live.door = Door.of(settings)
+        live.settling = Settling(settings)
         for sample in received:
             live.take_sample(sample)
         for verdict in verdicts:
-            live.verdicts.push(verdict)
-        conclusion = conclude(live.verdicts, lambda live=live: live.longest(1.0), law)
+            live.take_verdict(verdict)
+        conclusion = conclude(live.results.tally, lambda live=live: live.results.longest(1.0), law)
         expected = summarise(filled_stretches(received, settings), verdicts, law)
         assert live.received == len(received)
         assert repr(conclusion) == repr(expected)  # which makes nan equal to nan
-        live.samples.close()
+        live.results.samples.close()
     assert conclude(Tally(), lambda: pytest.fail("nobody to hold it against"), law).verdicts == 0

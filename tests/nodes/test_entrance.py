@@ -403,7 +403,7 @@ def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> It
     yield inside
     inside.end()
     for run in launchers:
-        run._live.samples.close()
+        run._live.results.close()
 
 
 def receiving(program: Inside) -> dict[str, Any]:

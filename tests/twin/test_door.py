@@ -17,8 +17,8 @@ from twinmatch.forecasting.baselines import Arx
 from twinmatch.health import Fault
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Door, Schedule, Twin, TwinSettings, filled_stretches
-from twinmatch.twin.door import filled
+from twinmatch.twin import Schedule, Twin, TwinSettings, filled_stretches
+from twinmatch.twin.door import Door, filled
 
 SETTINGS = TwinSettings()
 LONGEST = SETTINGS.schedule.gap

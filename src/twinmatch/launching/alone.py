@@ -15,8 +15,8 @@ from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.ending import end_in_order
 from twinmatch.launching.judging import Judged, Judging
+from twinmatch.launching.results import RunResults
 from twinmatch.launching.shown import RunShown
-from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.sampler import SAMPLER, listener_of, source_of
 from twinmatch.parameters.twin import values_of
@@ -30,11 +30,9 @@ from twinmatch.sessions.cdr import encode, encode_sample
 from twinmatch.sessions.messages import SAMPLE, topic_named
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.sessions.recording import FLUSH
-from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
 from twinmatch.showing.page.goal import Goal
 from twinmatch.showing.page.health import kind_of
-from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import view_on
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
@@ -128,7 +126,6 @@ class Alone:
         self._every = {self._search: SEARCH, self._flush: FLUSH, self._look: LOOK}
         if plan.values["paced_by"] == TIMER:
             self._every[self._listener.tick] = plan.settings.period
-        self._tally = Tally()
         self._sampled = self._judged = self._missed = 0
         self._troubles: dict[str, str] = {}
         self._ended = False
@@ -142,7 +139,7 @@ class Alone:
         self._shown = RunShown(plan.settings, plan.page, plan.tell, plan.goal)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
         self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
-        self._spool = SampleSpool()
+        self._results = RunResults()
 
     def run(self) -> None:
         """Run until `end` is called.
@@ -231,13 +228,11 @@ class Alone:
             self._judged += 1
             if self._session is not None:
                 self._session.take(judged)
-            for sample in judged.outcome.settled:
-                if sample.usable:
-                    self._spool.push(sample)
+            self._results.take_settled(judged.outcome.settled)
             if judged.outcome.match is not None:
                 self._view.take_match(judged.outcome.match)
             for verdict in judged.outcome.verdicts:
-                self._tally.push(verdict)
+                self._results.take_verdict(verdict)
                 self._view.take_verdict(verdict)
             self._view.advance(self._judged)
             self._shown.take(judged, self._judging.snapshot)
@@ -249,16 +244,11 @@ class Alone:
             self._take_judged()
             time.sleep(self._listener.interval)
         self._view.close()
-        self._view.say(f"ended: {self._sampled} samples, {self._tally.verdicts} verdicts")
+        self._view.say(f"ended: {self._sampled} samples, {self._results.tally.verdicts} verdicts")
         self._say_left_out()
-        if len(self._spool):
-            spool = self._spool
-            period = self._settings.period
-            law = self._settings.law
-            longest = spool.longest(period), spool.stretches
-            for line in closing_lines(
-                conclude(self._tally, lambda: longest, law, period=period), self._tally.last
-            ):
+        summary = self._results.summary(self._settings)
+        if summary is not None:
+            for line in self._results.closing_lines(summary):
                 self._view.say(line)
 
     def _close(self) -> None:
@@ -266,7 +256,7 @@ class Alone:
         end_in_order(*(part.close for part in parts if part is not None))
 
 
-_ORDER: Final = ("_view", "_listener", "_judging", "_session", "_shown", "_spool")
+_ORDER: Final = ("_view", "_listener", "_judging", "_session", "_shown", "_results")
 """The parts in the order in which they end: what brings samples, what judges and keeps them, what shows them.
 One that could not be made is missing."""
 

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from operator import attrgetter
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -18,6 +17,7 @@ from twinmatch.comparing import Verdict
 from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import EXIT_NOT_RECORDED, LaunchError
+from twinmatch.launching.results import RunResults
 from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.nodes.health import PLANT_REPORT, Level
 from twinmatch.nodes.network import lease
@@ -25,18 +25,16 @@ from twinmatch.nodes.signature import VARIABLE as SECRET
 from twinmatch.nodes.signature import new_secret
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.offline.summary import SessionSummary, Tally, conclude
+from twinmatch.offline.summary import SessionSummary
 from twinmatch.parameters.twin import read_settings
 from twinmatch.printing import one_line
 from twinmatch.sessions.files import EXIT_DISK
-from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.page.health import MAX_NODES, kind_of
-from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
-from twinmatch.signals import Sample, Window
-from twinmatch.twin import Door
+from twinmatch.signals import Sample
+from twinmatch.twin import Settling, TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
 EXIT_LOST = 3
@@ -58,44 +56,38 @@ class Live:
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
-    samples: SampleSpool = field(default_factory=SampleSpool)
-    """All samples, with stand-ins for the lost ones, kept on disk: a run may last for weeks."""
-    door: Door = field(default_factory=lambda: Door(None, 0, None))
+    settling: Settling = field(default_factory=lambda: Settling(TwinSettings()))
+    """Settles the samples; before the first one it is replaced by one with the settings of the twin."""
+    results: RunResults = field(default_factory=RunResults)
     received: int = 0
     """Number of samples, without stand-ins."""
     newest: Sample | None = None
     """The newest of them."""
-    waiting: deque[Sample] = field(default_factory=deque)
-    """Those that the verdicts to come decide how to settle."""
-    verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
     summary: SessionSummary | None = None
     ending: str = "stopped by the operator"
 
+    def take_verdict(self, verdict: Verdict) -> None:
+        """Count a verdict, and settle by it."""
+        self.results.take_verdict(verdict)
+        self.settling.learn(verdict)
+
     def take_sample(self, sample: Sample) -> None:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         if self.newest is not None and not sample.continues(self.newest):
-            self.samples.close()
-            self.samples = SampleSpool()
+            self.results.restart_samples()
             self.received = 0
-            self.waiting.clear()
+            self.settling.forget()
         self.received += 1
         self.newest = sample
-        self.waiting.append(sample)
-        self.settle(lambda _: len(self.waiting) > self.MAX_WAITING)
+        self.settling.push(sample)
+        self.settle(lambda _: self.settling.waiting > self.MAX_WAITING)
 
     def settle(self, judged: Callable[[int], bool]) -> None:
         """Put samples on the spool as the discriminator settled them: once it has `judged` all before them,
         as long as its verdicts may still decide how to."""
-        while self.waiting and (not self.door.learning or judged(self.waiting[0].index - 1)):
-            for sample in filter(attrgetter("usable"), self.door.take(self.waiting.popleft())):
-                self.samples.push(sample)
-
-    def longest(self, period: float) -> tuple[Window, int]:
-        """The longest stretch between gaps that are too long to be filled, for a sample time (s); their
-        number."""
-        return self.samples.longest(period), self.samples.stretches
+        self.results.take_settled(self.settling.settled(judged))
 
 
 def run_live(live: Live) -> int:
@@ -107,7 +99,7 @@ def run_live(live: Live) -> int:
     try:
         return _run_live(live)
     finally:
-        live.samples.close()
+        live.results.close()
 
 
 def _run_live(live: Live) -> int:
@@ -119,19 +111,17 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-    live.door = Door.of(settings)
+    live.settling = Settling(settings)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
     for session in filter(Path.exists, live.sessions):
         view.say(f"recorded: {session}")
     live.settle(lambda _: True)
-    view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
-    if len(live.samples):
-        live.summary = conclude(
-            live.verdicts, lambda: live.longest(settings.period), settings.law, period=settings.period
-        )
-        for line in closing_lines(live.summary, live.verdicts.last):
+    view.say(f"ended: {live.ending}; {live.received} samples, {live.results.tally.verdicts} verdicts")
+    live.summary = live.results.summary(settings)
+    if live.summary is not None:
+        for line in live.results.closing_lines(live.summary):
             view.say(line)
     return code
 
@@ -246,7 +236,7 @@ class _LiveRun(Supervised):
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
         live = self._live
-        live.settle(lambda sample: self.settled.complete(sample, live.verdicts.verdicts))
+        live.settle(lambda sample: self.settled.complete(sample, live.results.tally.verdicts))
         self.view.advance(live.received)
         if self._over is None:
             self._over = self._lost()
@@ -254,13 +244,12 @@ class _LiveRun(Supervised):
         if self._over is None:
             return None
         code, live.ending = self._over
-        judged = live.newest is None or self.settled.complete(live.newest.index, live.verdicts.verdicts)
+        judged = live.newest is None or self.settled.complete(live.newest.index, live.results.tally.verdicts)
         return None if code == 0 and not judged and time.monotonic() - self._over_at < self.SETTLE else code
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
-        self._live.verdicts.push(verdict)
-        self._live.door.learn(verdict)
+        self._live.take_verdict(verdict)
         self.view.take_verdict(verdict)
 
     def take_health(self, message: DiagnosticArray) -> None:

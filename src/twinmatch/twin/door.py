@@ -11,9 +11,9 @@ every door settles a stream alike, live and in replay.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import chain
 
 from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Law, Parameters
@@ -30,11 +30,12 @@ def filled(
 
     `verdicts` are those of the twin on this session.
     """
-    door = Door.of(settings)
+    settling = Settling(settings)
     for verdict in verdicts:
-        door.learn(verdict)
-    settled = chain.from_iterable(door.take(sample) for sample in samples)
-    return [sample for sample in settled if sample.usable]
+        settling.learn(verdict)
+    for sample in samples:
+        settling.push(sample)
+    return [sample for sample in settling.finish() if sample.usable]
 
 
 def filled_stretches(
@@ -99,3 +100,46 @@ class Door:
             return self._filler.take(settled)
         self._filler.restart()
         return [settled]
+
+
+class Settling:
+    """Settles the samples of a stream as the engine does, where only the verdicts of the engine arrive.
+
+    A sample waits as long as a verdict to come may still decide how it is settled.
+    """
+
+    def __init__(self, settings: TwinSettings) -> None:
+        """Begin without samples; `settings` are the twin's."""
+        self._door = Door.of(settings)
+        self._waiting: deque[Sample] = deque()
+
+    @property
+    def waiting(self) -> int:
+        """Number of samples that verdicts to come decide how to settle."""
+        return len(self._waiting)
+
+    def learn(self, verdict: Verdict) -> None:
+        """Take the next verdict."""
+        self._door.learn(verdict)
+
+    def push(self, sample: Sample) -> None:
+        """Take the next sample; `settled` gives it."""
+        self._waiting.append(sample)
+
+    def forget(self) -> None:
+        """Drop the samples that wait."""
+        self._waiting.clear()
+
+    def settled(self, judged: Callable[[int], bool]) -> list[Sample]:
+        """The samples that can be settled now, and their stand-ins; oldest first.
+
+        `judged` tells whether all verdicts up to the sample with an index have arrived.
+        """
+        settled: list[Sample] = []
+        while self._waiting and (not self._door.learning or judged(self._waiting[0].index - 1)):
+            settled += self._door.take(self._waiting.popleft())
+        return settled
+
+    def finish(self) -> list[Sample]:
+        """All samples that wait, settled with the verdicts so far."""
+        return self.settled(lambda _: True)
