@@ -47,7 +47,7 @@ def test_a_class_name_means_one_thing() -> None:
 
 SLOW = ("scipy.signal", "scipy.stats", "sympy", "matplotlib", "control", "pint", "bokeh", "pandas")
 """Modules that take up to two seconds to import: only what needs one imports it, when it does."""
-LATER = ("scipy.linalg", "twinmatch.fmu", "sympy", "concurrent.futures.process", "multiprocessing", "mcap.writer")
+LATER = ("scipy.linalg", "twinmatch.fmu", "sympy", "concurrent.futures.process", "mcap.writer")
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 PAGE = "twinmatch.showing.page"
 """The program of the live page draws with Bokeh, and nothing else."""
