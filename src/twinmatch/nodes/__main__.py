@@ -6,7 +6,6 @@ deadline switches the output off, with those of a kit the process that holds its
 
 from __future__ import annotations
 
-import gc
 import signal
 import sys
 from importlib import import_module
@@ -15,7 +14,6 @@ from typing import Any, Final
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import require_ros
-from twinmatch.offline.processes import GARBAGE
 
 PROGRAMS: Final = {
     "camera_bridge": "camera_bridge:CameraBridge",
@@ -44,7 +42,6 @@ def nodes_of(program: str) -> list[type[Any]]:
 
 def main() -> None:
     """Run the program that is called so. Until its runner takes signals over, they end it at once."""
-    gc.set_threshold(GARBAGE)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = sys.argv if Path(sys.argv[0]).stem in PROGRAMS else sys.argv[1:]
