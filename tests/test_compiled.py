@@ -9,15 +9,17 @@ import operator
 import os
 import shutil
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
 from numba.core import event
+from packaging.requirements import Requirement
 
 from tests.support.processes import Process
-from twinmatch.compiled import compiled
+from twinmatch.compiled import NumbaError, check_version, compiled
 
 OURS = "from twinmatch.compiled import compiled"
 NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
@@ -225,6 +227,54 @@ def test_what_a_kernel_does_not_use_may_change(tmp_path: Path) -> None:
     assert run(tmp_path) == "7.0 compiled"
     (tmp_path / "other.py").write_text("VALUE = 2")
     assert run(tmp_path) == "7.0 kept"
+
+
+def test_a_source_edited_while_a_process_runs_is_compiled_by_the_next(tmp_path: Path) -> None:
+    """What the process had imported is kept under its own stamp, not under that of the edited file."""
+    write(tmp_path)
+    shutil.copy(tmp_path / "callee.py", tmp_path / "edited.py")
+    change(tmp_path / "edited.py", "FACTOR * point.x", "FACTOR + point.x * 100.0")
+    edit = "import os\nif os.path.exists('edited.py'):\n    os.replace('edited.py', 'callee.py')\n\nprint("
+    change(tmp_path / "entry.py", "print(", edit)
+    assert run(tmp_path) == "7.0 compiled"
+    assert run(tmp_path) == "204.0 compiled"
+    assert run(tmp_path) == "204.0 kept"
+
+
+OPTIONS = ("inside=True", "inside=True, inlined=True", "innermost=True")
+
+
+def test_a_kernel_compiled_in_another_way_is_compiled_again(tmp_path: Path) -> None:
+    write(tmp_path)
+    assert run(tmp_path) == "7.0 compiled"
+    decorator = "@compiled"
+    for options in OPTIONS:
+        change(tmp_path / "callee.py", f"{decorator}\ndef scaled", f"@compiled({options})\ndef scaled")
+        decorator = f"@compiled({options})"
+        assert run(tmp_path) == "7.0 compiled", options
+    assert run(tmp_path) == "7.0 kept"
+
+
+def test_a_comment_does_not_make_a_kernel_compile_again(tmp_path: Path) -> None:
+    write(tmp_path)
+    assert run(tmp_path) == "7.0 compiled"
+    change(tmp_path / "callee.py", "@compiled\ndef scaled", "# a comment\n\n@compiled\ndef scaled")
+    assert run(tmp_path) == "7.0 kept"
+
+
+def test_a_newer_numba_is_refused_with_a_sentence() -> None:
+    check_version("0.68.1")
+    with pytest.raises(NumbaError, match=r"numba 0\.69\.0 is newer than this twinmatch.*numba==0\.68\.\*"):
+        check_version("0.69.0")
+
+
+def test_the_newest_numba_is_that_of_the_package() -> None:
+    requirements = metadata.requires("twinmatch") or []
+    (numba_requirement,) = (text for text in requirements if text.startswith("numba"))
+    specifiers = Requirement(numba_requirement).specifier
+    check_version("0.68.0")
+    assert "0.68.0" in specifiers
+    assert "0.69.0" not in specifiers
 
 
 def test_files_generated_outside_of_the_package_are_kept_too(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tests.support.places import SHIPPED
 from tests.support.processes import Process
+from tests.support.waiting import wait_for
 
 USE = """
 import gc, sys
@@ -31,6 +32,26 @@ assert len(replayed) > 20
 assert replayed == prepared, replayed.keys() - prepared.keys()
 print("the same")
 """
+
+
+COMPILE_BESIDE = """
+import signal
+from twinmatch.cli.prepare import compile_beside
+
+if __name__ == "__main__":
+    print(compile_beside(signal.pause).pid, flush=True)
+    signal.pause()
+"""
+
+
+def test_what_compiles_beside_ends_when_prepare_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "prepare.py"
+    script.write_text(COMPILE_BESIDE)
+    process = Process(sys.executable, script, output=tmp_path / "said.txt")
+    second = int(process.said(r"^\d+$").group())
+    assert Path(f"/proc/{second}").exists()
+    process.kill()
+    wait_for(lambda: not Path(f"/proc/{second}").exists(), "its end")
 
 
 def test_a_replay_uses_no_kernel_that_was_not_prepared(tmp_path: Path) -> None:

@@ -1,9 +1,10 @@
-"""Compilation of numeric kernels, and their cache on disk, which is valid until a source changes.
+"""Compilation of numeric kernels, and their cache on disk, which is valid until their code changes.
 
 numba caches compiled code under a stamp of the kernel's own source file. But a kernel contains the code of
 all kernels that it calls and the values of all constants that it uses, from any file: after a change of
 another file, numba alone would run outdated code. The stamp here covers everything that a kernel can reach:
-the files of the kernels and classes it names, recursively, and the values of constants.
+the code of the functions it names, recursively, fields of named tuples, and the values of constants. It is
+made from what this process has imported, not from the files: these may have been edited since.
 
 A module generated at run time is cached like any other if it is in `sys.modules` under its name.
 """
@@ -36,6 +37,33 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment, lookup_environment
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
+
+from twinmatch.errors import TwinmatchError
+
+_NEWEST: Final = (0, 68)
+"""The newest numba whose insides are as used here (tests/test_compiled.py); pyproject.toml agrees."""
+
+
+class NumbaError(TwinmatchError):
+    """The installed numba is too new."""
+
+
+def check_version(version: str) -> None:
+    """Refuse a numba that is newer than those tried; its insides may have changed their meaning.
+
+    Raises:
+        NumbaError: it is.
+    """
+    major, minor = (int(number) for number in version.split(".")[:2])
+    if (major, minor) > _NEWEST:
+        newest = ".".join(map(str, _NEWEST))
+        raise NumbaError(
+            f"numba {version} is newer than this twinmatch, which was tried with {newest} and older; install "
+            f"`numba=={newest}.*`, or a newer twinmatch"
+        )
+
+
+check_version(numba.__version__)
 
 
 def start_runtime() -> None:
@@ -78,6 +106,9 @@ _load_lapack()
 told: Final[list[Callable[[str], None]]] = []
 """Those that want to know what is compiled now."""
 
+_OPTIONS: Final = "compiled_with"
+"""Attribute of a kernel's function: how it is compiled, which its code does not say."""
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -114,10 +145,10 @@ def compiled(
             that cost no more than a call.
         addressed: it has an entry point for C, too.
     """
+    options = {"inside": inside, "inlined": inlined, "innermost": innermost, "addressed": addressed}
     if function is None:
-        return functools.partial(
-            compiled, inside=inside, inlined=inlined, innermost=innermost, addressed=addressed
-        )
+        return functools.partial(compiled, **options)
+    vars(function)[_OPTIONS] = options
     alone: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     if inlined:
         alone["inline"] = "always"
@@ -321,9 +352,8 @@ def _fields(kind: Any) -> Iterator[tuple[str, ...]]:
 
 
 def _stamp(function: FunctionType) -> str:
-    """One hash of all source files and constants that a kernel is made from."""
-    files = {__file__}
-    constants: set[bytes] = set()
+    """One hash of all code and constants that a kernel is made from."""
+    ingredients = {_OWN_SOURCE}
     visited: set[int] = set()
     waiting = [function]
     while waiting:
@@ -331,7 +361,7 @@ def _stamp(function: FunctionType) -> str:
         if id(current) in visited:
             continue
         visited.add(id(current))
-        files.add(current.__code__.co_filename)
+        ingredients.add(_hash_of_function(current))
         for name, value in _named(current):
             if isinstance(value, Dispatcher):
                 waiting.append(value.py_func)
@@ -340,11 +370,43 @@ def _stamp(function: FunctionType) -> str:
             elif isinstance(getattr(value, "_defn", None), FunctionType):  # one of our intrinsics
                 waiting.append(value._defn)
             elif isinstance(value, type):
-                files.add(getattr(sys.modules.get(value.__module__), "__file__", None) or value.__qualname__)
+                ingredients.add(_hash_of_class(value))
             else:
-                constants.add(name.encode() + b"=" + _bytes_of(value))
-    parts = sorted([*constants, *(_hash(file) for file in files)])
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+                ingredients.add(_hash(name.encode() + b"=" + _bytes_of(value)))
+    return hashlib.sha256(b"".join(sorted(ingredients))).hexdigest()
+
+
+@functools.cache
+def _hash_of_function(function: FunctionType) -> bytes:
+    """Hash of a function as it was imported: its code, defaults and options, but no line numbers."""
+    defaults = function.__defaults__, function.__kwdefaults__
+    text = repr((function.__qualname__, vars(function).get(_OPTIONS), _contents(function.__code__)))
+    return _hash(text.encode() + _bytes_of(defaults))
+
+
+def _contents(code: CodeType) -> tuple[Any, ...]:
+    """What a function does, as values whose `repr` is the same in every process."""
+    constants: list[Any] = []
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):  # a comprehension or an inner function
+            constants.append(_contents(constant))
+        elif isinstance(constant, frozenset):
+            constants.append(sorted(map(repr, constant)))
+        else:
+            constants.append(constant)
+    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+    arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
+    return code.co_code, code.co_exceptiontable, constants, names, arguments
+
+
+@functools.cache
+def _hash_of_class(kind: type) -> bytes:
+    """Hash of a named tuple's fields, all that a kernel takes from it; of any other class, of its file."""
+    name = f"{kind.__module__}.{kind.__qualname__}".encode()
+    fields = getattr(kind, "_fields", None)
+    if fields is None:
+        return _hash(name + _hash_of_file(getattr(sys.modules.get(kind.__module__), "__file__", None)))
+    return _hash(name + _bytes_of((fields, getattr(kind, "_field_defaults", {}))))
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -378,10 +440,19 @@ def _bytes_of(value: object) -> bytes:
         return repr(type(value)).encode()
 
 
-@functools.cache
-def _hash(path: str) -> bytes:
-    """Hash of a file's content, or its name if it cannot be read."""
+def _hash(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
+def _hash_of_file(path: str | None) -> bytes:
+    """Hash of a file's content; nothing if it cannot be read."""
+    if path is None:
+        return b""
     try:
-        return hashlib.sha256(Path(path).read_bytes()).digest()
+        return _hash(Path(path).read_bytes())
     except OSError:
-        return path.encode()
+        return b""
+
+
+_OWN_SOURCE: Final = _hash_of_file(__file__)
+"""This module, as it was imported: how kernels are compiled."""

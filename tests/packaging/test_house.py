@@ -47,6 +47,8 @@ def test_a_class_name_means_one_thing() -> None:
 
 SLOW = ("scipy.signal", "scipy.stats", "sympy", "matplotlib", "control", "pint", "bokeh", "pandas")
 """Modules that take up to two seconds to import: only what needs one imports it, when it does."""
+LATER = ("scipy.linalg", "twinmatch.fmu", "sympy", "concurrent.futures.process", "mcap.writer")
+"""What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 PAGE = "twinmatch.showing.page"
 """The program of the live page draws with Bokeh, and nothing else."""
 
@@ -79,3 +81,14 @@ def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
         [sys.executable, "-c", IMPORT_ALL], cwd=PROJECT, capture_output=True, text=True, check=True
     )
     assert completed.stdout.split("\n") == ["False", "True", ""]
+
+
+@pytest.mark.parametrize("module", ["twinmatch.cli.replay", "twinmatch.twin.engine", "twinmatch.nodes.twin"])
+def test_a_start_imports_nothing_that_few_runs_need(module: str) -> None:
+    if module.startswith("twinmatch.nodes"):
+        pytest.importorskip("rclpy")
+    program = f"import sys, {module}; print(sorted(set({LATER}) & set(sys.modules)))"
+    completed = subprocess.run(
+        [sys.executable, "-c", program], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    assert completed.stdout == "[]\n"

@@ -10,6 +10,7 @@ from multiprocessing.process import BaseProcess
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.dynamics.store import cache_folder
+from twinmatch.offline.processes import end_with_parent
 from twinmatch.plants import PLANTS, find_plant
 
 
@@ -29,20 +30,25 @@ def run(options: argparse.Namespace) -> int:
         derive_plants([find_plant(options.plant)])
         return 0
     # A compiler uses one core, so two processes compile. The engine uses what the others compile.
-    models = _beside(compare_models)
+    models = compile_beside(compare_models)
     derive_plants(PLANTS.values())
     models.join()
-    channels = _beside(judge_channels)
+    channels = compile_beside(judge_channels)
     judge_a_loop()
     channels.join()
     return models.exitcode or channels.exitcode or 0
 
 
-def _beside(use: Callable[[], None]) -> BaseProcess:
-    """A process of its own for some kernels; it ends with this one."""
-    process = multiprocessing.get_context("spawn").Process(target=use, daemon=True)
+def compile_beside(use: Callable[[], object]) -> BaseProcess:
+    """A process of its own for some kernels; it ends with this one, also if this one is killed."""
+    process = multiprocessing.get_context("spawn").Process(target=_use, args=(use,), daemon=True)
     process.start()
     return process
+
+
+def _use(use: Callable[[], object]) -> None:
+    end_with_parent()
+    use()
 
 
 def derive_plants(plants: Iterable[type[Plant]]) -> None:

@@ -13,10 +13,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.loop import Law, LinearLaw, PidGains
+from twinmatch.signals import FloatArray
 
 GREATEST: Final = 1e12
 """Greatest size of a number in a law, in any unit: products of some of them stay finite."""
@@ -92,7 +92,7 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
             f"pid: {len(pids)} given at a period of {period:g} s; give one, and a positive period"
         )
     parts = [_matrices(pid, period) for pid in pids]
-    A, B, C, D, E, F, G = (block_diag(*matrices) for matrices in zip(*parts, strict=True))
+    A, B, C, D, E, F, G = (_block_diagonal(matrices) for matrices in zip(*parts, strict=True))
     offset = np.array([pid.offset for pid in pids])
     return LinearLaw(
         A=A,
@@ -108,6 +108,16 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
         high=np.array([pid.high for pid in pids]),
         period=period,
     )
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    """As `scipy.linalg.block_diag`, whose package takes a fifth of a start to import."""
+    ends = np.cumsum([block.shape for block in blocks], axis=0)
+    matrix = np.zeros(ends[-1])
+    for block, (last_row, last_column) in zip(blocks, ends, strict=True):
+        rows, columns = block.shape
+        matrix[last_row - rows : last_row, last_column - columns : last_column] = block
+    return matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -204,12 +204,15 @@ class Calibration:
         short leads as a reading does, at long ones as a level, so one lead says nothing of the next.
         """
         shares = _TRUSTED / (_TRUSTED + self._counts)
-        scales = np.empty_like(self._sums)
         of_errors = self._sums / (_MEAN * (_TRUSTED + self._counts))
-        of_shorter_lead = np.ones(len(scales))
-        for k, share in enumerate(shares):
-            scales[:, k] = share * of_shorter_lead + of_errors[:, k]
-            of_shorter_lead[self._is_output] = scales[self._is_output, k]
+        scales = shares + of_errors
+        for signal in np.flatnonzero(self._is_output):
+            scale = 1.0
+            scales_of_output = []
+            for share, of_error in zip(shares.tolist(), of_errors[signal].tolist(), strict=True):
+                scale = share * scale + of_error
+                scales_of_output.append(scale)
+            scales[signal] = scales_of_output
         return scales
 
     def _quantile(self, lead: int) -> FloatArray:

@@ -50,12 +50,13 @@ def main() -> None:
         sys.exit(EXIT_USER_ERROR)
     try:
         require_ros(name)
+        from twinmatch.nodes.runner import run  # noqa: PLC0415 — needs ROS
+
+        nodes = nodes_of(name)
     except TwinmatchError as error:
         print(f"twinmatch: {error}", file=sys.stderr)
         sys.exit(EXIT_USER_ERROR)
-    from twinmatch.nodes.runner import run  # noqa: PLC0415 — needs ROS
-
-    sys.exit(run(nodes_of(name), arguments))
+    sys.exit(run(nodes, arguments))
 
 
 if __name__ == "__main__":

@@ -85,6 +85,11 @@ def _begin() -> None:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
     gc.set_threshold(GARBAGE)
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """From now on this process ends when the one that started it does, however that ends."""
     from multiprocessing import parent_process  # noqa: PLC0415
 
     parent = parent_process()

@@ -34,7 +34,6 @@ from twinmatch.dynamics import (
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
-from twinmatch.fmu import adopt_fmus
 from twinmatch.parameters.declared import (
     ParameterError,
     Setting,
@@ -227,6 +226,8 @@ def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setti
     _refuse_renamed(place, given_values)
     try:
         if given_values.get("allow_fmu"):
+            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few plants have FMUs
+
             adopt_fmus(Path(str(given_values["allow_fmu"])))
         plant = find_plant(str(given_values.get("plant", Peltier.name)))
         named = given_values.get("structure")
