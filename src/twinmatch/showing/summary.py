@@ -77,9 +77,9 @@ def _trust(summary: SessionSummary) -> str:
 
 def _faults(summary: SessionSummary) -> str:
     faults = [stretch for stretch in summary.stretches if stretch.fault]
-    spans = [f"{fault.fault} from {fault.times(summary.period)}" for fault in faults[-MAX_FAULTS:]]
+    spans = [f"{fault.fault} from {fault.fault_times(summary.period)}" for fault in faults[-MAX_FAULTS:]]
     if spans and faults[-1] is summary.stretches[-1]:
-        spans[-1] = f"{faults[-1].fault} since {faults[-1].first * summary.period:.0f} s"
+        spans[-1] = f"{faults[-1].fault} since {faults[-1].begins * summary.period:.0f} s"
     older = [f"{len(faults) - MAX_FAULTS} before"] if len(faults) > MAX_FAULTS else []
     return f"Faults: {'; '.join([*older, *spans])}." if spans else ""
 

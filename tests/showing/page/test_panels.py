@@ -147,7 +147,8 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
         (TrustLevel.FAULT, "Look at drive, wires and supply. Do not rely"),
         (TrustLevel.UNKNOWN, "hold it for some minutes"),
     ):
-        state.push_verdict(replace(last, level=level, reason=reason))
+        fault = "drive-lost" if level is TrustLevel.FAULT else ""
+        state.push_verdict(replace(last, level=level, reason=reason, fault=fault))
         assert {level.value, panels.SIGNS[level]} <= set(words(first_screen(state)))
         assert what_to_do(state).startswith(advice) or advice in what_to_do(state), level
     assert "no fault found" in " ".join(words(first_screen(state)))

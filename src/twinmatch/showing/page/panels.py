@@ -75,21 +75,29 @@ def what_to_do(state: DashboardState) -> str:
         return "Nothing: the replay has ended, and this page shows its final state."
     if state.received_at is None:
         return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
-    if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
+    verdict = state.verdict
+    if verdict is None or verdict.level is TrustLevel.UNKNOWN:
         return (
             f"Step the {references} and hold it for some minutes (in open loop the {inputs}): a twin is "
             "matched to the plant's response."
         )
     unit = described.outputs[0].unit + (f" of {described.loops[0][1].name}" if described.outputs[1:] else "")
-    return _advice(state.verdict, unit, described.outputs[0].decimals - 1, state.tally.held)
+    if verdict.level is TrustLevel.FAULT:
+        advice = _remedy(state.fault_reason)
+    else:
+        advice = _advice(verdict, unit, described.outputs[0].decimals - 1, state.tally.held)
+    return advice
+
+
+def _remedy(fault_reason: str) -> str:
+    """What to do about a fault; `fault_reason` is what was said of it when it was named."""
+    _, placed, where = fault_reason.partition(_PLACE)
+    first = f"Look at {where}" if placed else "Look at drive, sensor and cables"
+    return f"{first}. Do not rely on forecasts until the fault is fixed."
 
 
 def _advice(verdict: Verdict, unit: str, decimals: int, ranges: Sequence[tuple[float, float]]) -> str:
-    """What to do after a verdict."""
-    if verdict.level is TrustLevel.FAULT:
-        _, placed, where = verdict.reason.partition(_PLACE)
-        first = f"Look at {where}" if placed else "Look at drive, sensor and cables"
-        return f"{first}. Do not rely on forecasts until the fault is fixed."
+    """What to do after a verdict on a plant without a grave fault."""
     if verdict.level is TrustLevel.DOUBTFUL:
         return (
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
@@ -148,9 +156,10 @@ def _health(state: DashboardState) -> str:
     if not verdict.fault:
         return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
     name, _, since = fault_words(verdict, state.period).partition(" since ")
-    begin = f"since {since}: " if since else ""
+    reason = f": {state.fault_reason}" if state.fault_reason else ""
+    begin = f"since {since}" if since else ""
     name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
-    return _answer("plant health", name, escape(f"{begin}{verdict.reason}") + through)
+    return _answer("plant health", name, escape(f"{begin}{reason}".removeprefix(": ")) + through)
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -193,10 +202,12 @@ def tiles(state: DashboardState) -> str:
         )
         rows.append([(label, number(values.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
+        # The last report of a played session is later than its last sample: the drive has let go.
+        applied_word = "applied" if state.nodes.ended is None else "applied after the end"
         for tiles_of_loop, (_, _, control), applied in zip(
             rows, loops, point_values(state.drive.input), strict=False
         ):
-            tiles_of_loop.append((with_unit("applied", control.unit), number(applied, control.decimals)))
+            tiles_of_loop.append((with_unit(applied_word, control.unit), number(applied, control.decimals)))
         if not math.isnan(state.drive.current):
             rows[0].append(("current / A", number(state.drive.current, 2)))
     return "".join(_tiles(tiles_of_loop, "tiles now") for tiles_of_loop in rows)
