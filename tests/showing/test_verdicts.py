@@ -237,18 +237,18 @@ DRIVE = {"fault": "drive-lost"}
             [verdict(UNKNOWN, 59), verdict(TRUSTED, 119), verdict(TRUSTED, 179), verdict(FAULT, 239)],
             [(10, 59, UNKNOWN), (60, 179, TRUSTED), (180, 239, FAULT)],
         ),
-        # A fault lasts from where it shows, though a verdict came before it was known, to the one without it.
+        # The level of a fault lasts from the verdict that names it to the one without it.
         (
             [
                 verdict(TRUSTED, 424),
                 verdict(DOUBTFUL, 425, **LOSSES),
                 *(verdict(TRUSTED, k) for k in (449, 509)),
             ],
-            [(10, 409, TRUSTED), (410, 448, DOUBTFUL), (449, 509, TRUSTED)],
+            [(10, 424, TRUSTED), (425, 448, DOUBTFUL), (449, 509, TRUSTED)],
         ),
         (
             [verdict(TRUSTED, 119), *(verdict(FAULT, k, fault_since=k - 5, **DRIVE) for k in (145, 179))],
-            [(10, 139, TRUSTED), (140, 179, FAULT)],
+            [(10, 144, TRUSTED), (145, 179, FAULT)],
         ),
     ],
     ids=["none", "levels", "past fault", "fault"],
@@ -397,12 +397,26 @@ def test_the_sentence_names_the_newest_faults() -> None:
     ]
     stretches = tuple(Tally(verdicts).stretches)
     assert [s for s in stretches if s.fault] == [
-        LevelStretch(310, 399, FAULT, "drive-lost"),
-        LevelStretch(470, 500, DOUBTFUL, "room-changed"),
+        LevelStretch(320, 399, FAULT, "drive-lost", 310),
+        LevelStretch(500, 500, DOUBTFUL, "room-changed", 470),
     ]
     often = sentence(replace(SUMMARY, stretches=stretches * 4))
     assert " Faults: 3 before; room-changed from 470 to 500 s; drive-lost from 310 to 399 s; " in often
     assert often.endswith("; room-changed since 470 s.")
+
+
+def test_a_level_is_drawn_from_where_it_was_stated_not_from_where_the_fault_began() -> None:
+    lies = {"fault": "sensor-drift", "fault_since": 546}
+    verdicts = [
+        verdict(TrustLevel.TRUSTED, 900),
+        verdict(TrustLevel.DOUBTFUL, 1022, **lies),
+        verdict(TrustLevel.DOUBTFUL, 1100, **lies),
+    ]
+    trusted, doubtful = Tally(verdicts, 0).stretches
+    assert (trusted.times(1.0), doubtful.times(1.0)) == ("0 to 1021 s", "1022 to 1100 s")
+    assert doubtful.fault_times(1.0) == "546 to 1100 s"
+    at_once = Tally(verdicts[1:], 0).stretches
+    assert [(s.level, s.first) for s in at_once] == [(UNKNOWN, 0), (DOUBTFUL, 1022)]
 
 
 def test_without_a_leader_there_is_nothing_to_doubt() -> None:

@@ -110,7 +110,7 @@ def knowledge(
     fields: dict[str, Any] = {
         **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
         **{"pool": pool, "bands": INSIDE, "history": history, "residuals": Residuals(0.5, 7.0)},
-        **{"health": None, "monitor": Said(reservation, doubt), "trusted": (), "decimals": 2},
+        **{"health": None, "monitor": Said(reservation, doubt), "trial": "", "trusted": (), "decimals": 2},
     }
     return Knowledge(**fields | changes)
 

@@ -13,8 +13,9 @@ from twinmatch.errors import EXIT_INTERRUPTED
 from twinmatch.launching.plan import ros_arguments
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
+from twinmatch.offline.judging import terms_from_files
 from twinmatch.offline.summary import SessionSummary, summarise
-from twinmatch.parameters.twin import UNKNOWN, at_period, read_settings
+from twinmatch.parameters.twin import UNKNOWN
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.showing.console import Console
@@ -51,8 +52,7 @@ def play(replay: Replay) -> int:
         TwinmatchError: the session or one of the files cannot be used.
     """
     session = replay.session
-    as_written = read_settings(replay.config, session.plant, driven=not session.has_reference)
-    settings = at_period(as_written, session.period, replay.config)
+    settings = terms_from_files(session, replay.config).settings
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
         view = view_on(replay.console, session.name, settings.period, len(session.samples))
@@ -70,6 +70,16 @@ def play(replay: Replay) -> int:
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)
     return code
+
+
+def values_for_twin(settings: TwinSettings) -> dict[str, object]:
+    """Parameters of the twin's nodes that follow from the session."""
+    values: dict[str, object] = {"period": settings.period, "plant": written_name(settings.plant)}
+    if settings.law is None:
+        values["loop"] = UNKNOWN
+    if settings.read_through:
+        values["read_through"] = " ".join(settings.read_through)
+    return values
 
 
 def _playable(session: Session, folder: Path) -> Path:
@@ -159,9 +169,7 @@ class _ReplayRun(Supervised):
     def _start_twin(self) -> None:
         replay = self._replay
         settings = self._settings
-        values = {"period": settings.period, "plant": written_name(settings.plant)}
-        if settings.law is None:
-            values["loop"] = UNKNOWN
+        values = values_for_twin(settings)
         if replay.candidates is not None:
             values["discriminator:candidates"] = replay.candidates
         options = ros_arguments(values, *(() if replay.config is None else (replay.config,)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.candidates import parse_candidates, read_candidates
-from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
+from twinmatch.parameters.twin import at_period, outputs_named, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
@@ -60,7 +60,21 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
     if config is None and not settings.plant.single and not _law_gives_inputs(settings, session):
         settings = at_period(read_settings(None, session.plant, driven=True), session.period, None)
         source += ", driven by the recorded inputs, which are not those of the loop in the plant file"
+    settings = replace(
+        settings, read_through=settings.read_through or _recorded_read_through(session, settings)
+    )
     return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
+
+
+def _recorded_read_through(session: Session, settings: TwinSettings) -> tuple[str, ...]:
+    """The outputs whose estimates the law took, as recorded with the session.
+
+    That is a fact of the plant that ran, which no file can choose otherwise: samples of a law that ran on an
+    estimate are not matched.
+    """
+    recorded = parameters_of(session.records, f"{prefix_of(session)}discriminator") or {}
+    names = str(recorded.get("read_through", ""))
+    return outputs_named(f"session {session.name}", names, settings.plant)
 
 
 def _law_gives_inputs(settings: TwinSettings, session: Session) -> bool:

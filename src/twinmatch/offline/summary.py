@@ -98,10 +98,22 @@ class LevelStretch(NamedTuple):
     level: TrustLevel
     fault: str = ""
     """Name of the plant's fault; empty for none."""
+    since: int | None = None
+    """First sample of the fault's trace, which may be long before the fault was named; None: that of the
+    stretch."""
+
+    @property
+    def begins(self) -> int:
+        """First sample of the fault's trace, or of the stretch."""
+        return self.first if self.since is None else self.since
 
     def times(self, period: float) -> str:
-        """From when to when, for a sampling period in s."""
+        """From when to when the level was stated, for a sampling period in s."""
         return f"{self.first * period:.0f} to {self.last * period:.0f} s"
+
+    def fault_times(self, period: float) -> str:
+        """From when to when the fault has shown, for a sampling period in s."""
+        return f"{self.begins * period:.0f} to {self.last * period:.0f} s"
 
 
 @dataclass(frozen=True)
@@ -160,7 +172,8 @@ class Tally:
         self.matches: Counter[str] = Counter()
         """How many matches were admitted, and how many refused."""
         self.stretches: list[LevelStretch] = []
-        """The trust level over time: that of a verdict covers the samples since the last one."""
+        """The trust level over time: that of a verdict covers the samples since the last one, and that of a
+        fault those since it was named."""
         self.held: list[tuple[float, float]] = []
         """Lowest and highest output of each range in which forecasts have held, lowest first."""
         self._first = first
@@ -183,15 +196,17 @@ class Tally:
     def _extend(self, verdict: Verdict) -> None:
         """Extend the trust level over time.
 
-        A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
-        without it.
+        The level of a fault begins at the verdict that names it, although its trace began at `fault_since`,
+        and lasts until the first verdict without it.
         """
         if self._first is None:
             self._first = max(0, min(verdict.first, verdict.sample))
         sample = max(verdict.sample, self._first)
-        since = verdict.fault_since
         fault = verdict.named_fault
-        stretch = LevelStretch(self._first, sample, verdict.level, fault)
+        since = verdict.fault_since if fault else None
+        stretch = LevelStretch(self._first, sample, verdict.level, fault, since)
+        if self.last is None and fault and sample > self._first:  # nothing was said before it
+            self.stretches.append(LevelStretch(self._first, sample, TrustLevel.UNKNOWN))
         if not self.stretches:
             self.stretches.append(stretch)
             return
@@ -204,8 +219,8 @@ class Tally:
             last = last._replace(last=max(sample - 1, last.last))
         begin = last.last + 1
         fault_begins = fault not in {"", last.fault}
-        if fault_begins and since is not None and since <= verdict.sample:
-            begin = max(since, last.first + 1)
+        if fault_begins:
+            begin = max(sample, last.first + 1)
             last = last._replace(last=begin - 1)
         self.stretches[-1:] = [last, stretch._replace(first=begin, last=max(sample, begin))]
         del self.stretches[:-MAX_STRETCHES]

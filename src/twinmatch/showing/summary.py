@@ -80,9 +80,9 @@ def trust_words(summary: SessionSummary) -> str:
 def fault_spans(summary: SessionSummary) -> list[str]:
     """Each fault of the session, oldest first, and when it showed."""
     faults = [stretch for stretch in summary.stretches if stretch.fault]
-    spans = [f"{fault.fault} from {fault.times(summary.period)}" for fault in faults]
+    spans = [f"{fault.fault} from {fault.fault_times(summary.period)}" for fault in faults]
     if faults and faults[-1] is summary.stretches[-1]:
-        spans[-1] = f"{faults[-1].fault} since {faults[-1].first * summary.period:.0f} s"
+        spans[-1] = f"{faults[-1].fault} since {faults[-1].begins * summary.period:.0f} s"
     return spans
 
 

@@ -161,6 +161,21 @@ class Discriminator:
         begins = [begin for begin, end in self._trials.items() if begin <= last and end >= first]
         return f"a law on trial has driven since sample {begins[-1]}" if begins else ""
 
+    def _forecasts_of_trial(self, samples: int) -> str:
+        """Why the newest samples are not compared with what was forecast for them; empty if they are.
+
+        They are not where a law on trial drove when the forecasts were made, or has driven since.
+        """
+        newest = self._recent[-1].index
+        reach = samples + max(self.forecaster.horizons)
+        if not self._trial_between(newest - reach, newest):
+            return ""
+        ends = max(end for begin, end in self._trials.items() if begin <= newest)
+        if ends >= newest:
+            return "a law is on trial: its samples are not compared with forecasts for the law before"
+        over = f"a law on trial drove until sample {ends:.0f}"
+        return f"{over}: measurements are compared with forecasts again after sample {ends + reach:.0f}"
+
     @property
     def forecaster(self) -> Forecaster:
         """The forecaster of all candidates, at the newest settled sample."""
@@ -485,17 +500,21 @@ class Discriminator:
             residuals=self._residuals(window),
             health=self._health,
             monitor=self.monitor,
+            trial=self._forecasts_of_trial(self._compared(window)) if self._recent else "",
             trusted=self._trusted,
             decimals=self.settings.decimals,
         )
+
+    def _compared(self, window: Window) -> int:
+        """How many of the newest samples are compared with the bands when a window is judged."""
+        return min(self.settings.schedule.stride, len(window))
 
     def _check_bands(self, window: Window) -> BandCheck:
         """How the newest samples lie in the bands that the leader forecast for them."""
         if not self._recent:
             return BandCheck()
-        samples = min(self.settings.schedule.stride, len(window))
-        newest = self._recent[-1].index
-        if self._trial_between(newest - samples - max(self.forecaster.horizons), newest):
+        samples = self._compared(window)
+        if self._forecasts_of_trial(samples):
             return BandCheck()
         check = self.forecaster.check_bands(samples)
         if check is None:

@@ -81,6 +81,8 @@ class Knowledge:
     residuals: Residuals
     health: Health | None
     monitor: SaysOfHealth
+    trial: str
+    """Why a law on trial keeps the newest samples from being compared with forecasts; empty if none does."""
     trusted: tuple[float, ...]
     """The horizons, s, at which the verdict before trusted its leader."""
     decimals: int
@@ -127,7 +129,8 @@ def trust_of(known: Knowledge) -> Trust:
     if known.fault is not None:
         return Trust(TrustLevel.DOUBTFUL, fault_in_words)
     if math.isnan(known.bands.miss):
-        return Trust(TrustLevel.UNKNOWN, known.monitor.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN])
+        reservation = known.trial or known.monitor.reservation
+        return Trust(TrustLevel.UNKNOWN, reservation or LEVEL_WORDS[TrustLevel.UNKNOWN])
     if known.history.lasts:
         return Trust(TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL])
     return _tested(known.doubts, known)

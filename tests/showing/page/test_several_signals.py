@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.plants.records import description_of
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.showing.page import panels
-from twinmatch.showing.page.state import DashboardState, TwinRow, update_sentence
+from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import trust_by_signal
 from twinmatch.twin import Mirror
@@ -59,6 +61,11 @@ def test_every_signal_is_drawn_in_a_column_of_its_own(document: Document, two: J
     rows = document.template_variables["charts"]
     assert rows == [[kind, f"{kind}_2"] for kind in KINDS]
     labels = [document.get_model_by_name(name).yaxis[0].axis_label for name in (*rows[0], *rows[1])]
+    beside = [document.get_model_by_name(name) for row in rows for name in row]
+    # One axis below all of them would line up with neither column.
+    assert {chart.xaxis[0].major_label_text_font_size for chart in beside} == {"12px"}
+    # Nothing can be asked of several loops, so nothing is said of an answer.
+    assert "what if" not in [item.label.value for chart in beside for item in chart.legend[0].items]
     assert labels == [f"{T1} / °C", f"{T2} / °C", "heater 1 / %", "heater 2 / %"]
     shown = two.samples[-1200:]  # twenty minutes
     for k, ending in enumerate(("", "_2")):
@@ -116,6 +123,38 @@ def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     family = panels.family_table(two.verdicts[-1], all_orders=False)
     assert all(candidate.name in family for candidate in two.verdicts[-1].candidates)
     assert "order" not in family
+
+
+def test_the_health_of_the_plant_is_what_was_said_when_the_fault_was_named(two: Judgement) -> None:
+    named_at = next(k for k, verdict in enumerate(two.verdicts) if verdict.fault)
+    named, *after = two.verdicts[named_at:]
+    assert after
+    assert all(verdict.fault and verdict.reason != named.reason for verdict in after)  # of other things
+    whole = DashboardState(described=description_of(TCLabBoth))
+    late = DashboardState(described=description_of(TCLabBoth))
+    for verdict in two.verdicts:
+        whole.push_verdict(verdict)
+    late.push_verdict(two.verdicts[-1])
+    late.push_plant_report(f"{named.named_fault}: {named.reason}")
+    for state in (whole, late):
+        words = panels.first_screen(state)
+        assert f"since {named.fault_since} s: {named.reason}" in words
+        assert two.verdicts[-1].reason not in words
+    whole.push_plant_report("drive-lost: the drive does nothing")  # of a verdict that is yet to be received
+    assert whole.fault_reason == named.reason
+    whole.push_verdict(replace(two.verdicts[-1], fault="", fault_signal=""))
+    assert whole.fault_reason == ""
+
+
+def test_what_was_applied_after_a_played_session_is_not_shown_beside_its_last_sample(two: Judgement) -> None:
+    state = DashboardState(described=description_of(TCLabBoth))
+    state.push_sample(two.samples[0], 0.0)
+    state.push_drive(DriveReport((0.0, 0.0), math.nan, ""))
+    assert "applied / %" in panels.tiles(state)
+    position = {"rate": "50", "paused": "False", "position": "13.0 s of 13.0 s"}
+    state.push_health("player", 0, "ended", {**position, "ended": "True"}, 1.0)
+    assert "applied / %" not in panels.tiles(state)
+    assert "applied after the end / %" in panels.tiles(state)
 
 
 def test_an_estimate_goes_when_it_is_over(two: Judgement) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.rig import rig
-from twinmatch.comparing import CandidateScore, Verdict
+from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.showing.report.report import SessionReport
 from twinmatch.showing.report.tables import gap_table, match_table, nominal_table, order_table
 from twinmatch.showing.report.words import duration
@@ -134,6 +134,22 @@ def test_a_refused_match_is_reported_with_its_reason(shipped: SessionReport) -> 
     table = match_table([report._replace(match=unfitted)], [], 1.0)
     assert table.rows[0][-1].text == "nothing moved"
     assert {c.text for c in table.rows[0][3:-3]} == {"–"}
+
+
+def test_a_window_that_was_refused_unfitted_is_among_the_matches(shipped: SessionReport) -> None:
+    judgement = shipped.judged.judgement
+    reason = "not matched: sensor-drift since sample 5"
+    refused = replace(judgement.verdicts[0], sample=3, match=REFUSED, reason=reason)
+    table = match_table(judgement.matches, [refused, *judgement.verdicts], 2.0)
+    assert table is not None
+    assert len(table.rows) == len(judgement.matches) + 1
+    first = [cell.text for cell in table.rows[0]]
+    assert (first[0], first[2], first[-1]) == ("6", REFUSED, reason)
+    assert {first[1], *first[3:-1]} == {"–"}
+    alone = match_table([], [refused], 2.0)
+    assert alone is not None
+    assert alone.rows[0][-1].text == reason
+    assert match_table([], judgement.verdicts[:1], 2.0) is None
 
 
 def test_spans_of_time_read_well() -> None:

@@ -112,8 +112,9 @@ def seconds_ahead(span: float) -> float:
 class ForecastBands:
     """Forecast mean and band ahead of the newest sample, on the charts of one output and one input."""
 
-    def __init__(self, output: Any, control: Any) -> None:
-        """Draw on these two charts."""
+    def __init__(self, output: Any, control: Any, *, asks: bool) -> None:
+        """Draw on these two charts; `asks`: whether there can be an answer to a what-if question, which has a
+        line in the legend."""
         self._forecast = ColumnDataSource({name: [] for name in FORECAST_COLUMNS})
         self._what_if = ColumnDataSource({name: [] for name in FORECAST_COLUMNS})
         self.lines = []
@@ -122,8 +123,9 @@ class ForecastBands:
             of_output = _draw_band(output, "output", source, colour)
             of_input = _draw_band(control, "input", source, colour)
             set_point = _step(output, "reference", source, colour, width=1, dash=[2, 3])
-            for chart, parts in ((output, [*of_output, set_point]), (control, of_input)):
-                chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
+            if source is self._forecast or asks:
+                for chart, parts in ((output, [*of_output, set_point]), (control, of_input)):
+                    chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
             self.lines.append(of_output[-1])
 
     def update(self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float) -> None:
@@ -152,12 +154,27 @@ def _columns(forecast: Forecast | None, period: float, most: float) -> dict[str,
     return {name: values[is_drawn] for name, values in zip(FORECAST_COLUMNS, columns, strict=True)}
 
 
-_FIT_TO_NARROW = """
+_FEWER_TICKS = """
 if (window.innerWidth < 600) {
-    for (const legend of legends) legend.ncols = 2
-    axes.ticker.desired_num_ticks = 3
+    for (const axis of axes) axis.ticker.desired_num_ticks = 3
 }
 """
+_WRAP_LEGEND = """
+const pen = document.createElement("canvas").getContext("2d")
+pen.font = `${legend.label_text_font_size} ${legend.label_text_font}`
+const beside = legend.glyph_width + legend.label_standoff
+const widths = legend.items.map((item) => Math.ceil(pen.measureText(item.label.value).width) + beside)
+const width_of = (columns) => {
+    const widest = Array(columns).fill(0)
+    widths.forEach((width, k) => { widest[k % columns] = Math.max(widest[k % columns], width) })
+    return widest.reduce((sum, width) => sum + width, 0) + legend.spacing * (columns - 1)
+}
+let columns = widths.length
+while (columns > 1 && width_of(columns) > chart.inner_width) columns -= 1
+if (legend.ncols != columns) legend.ncols = columns
+"""
+"""In the browser, when the width of a chart has changed: as many entries of its legend in a line as there is
+room for."""
 
 
 def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -174,26 +191,42 @@ class LoopCharts:
     """The figures of one output and one input, the k-th of each, counted from 0."""
 
     def __init__(
-        self, time: DataRange1d, sources: tuple[ColumnDataSource, ColumnDataSource], loop: Loop, k: int
+        self,
+        time: DataRange1d,
+        sources: tuple[ColumnDataSource, ColumnDataSource],
+        loop: Loop,
+        k: int,
+        *,
+        beside: bool,
     ) -> None:
-        """Draw plant and twins over a time axis; `loop` names set-point, output and input."""
+        """Draw plant and twins over a time axis; `loop` names set-point, output and input.
+
+        If the charts of several loops are `beside` one another, each has the times below it.
+        """
         self._time = time
+        self._beside = beside
         self._plant, self._twin = sources
         _, self._output_signal, self._input_signal = loop
         self._k = k
         self.output = self._draw_output()
         self.control = self._draw_control()
-        self.forecasts = ForecastBands(self.output, self.control)
+        self.forecasts = ForecastBands(self.output, self.control, asks=not beside)
         self.residual = self._draw_residual()
         self.control_residual = self._draw_control_residual()
         self.figures = [self.output, self.control, self.residual, self.control_residual]
+        for chart in self.figures:
+            wrap = CustomJS(args={"chart": chart, "legend": chart.legend[0]}, code=_WRAP_LEGEND)
+            chart.js_on_change("inner_width", wrap)
 
     def _of(self, column: str) -> str:
         """The name of a column of this loop."""
         return nth(column, self._k)
 
     def _figure(self, name: str, height: int, label: str) -> Any:
-        return _figure(nth(name, self._k), height, label, self._time)
+        chart = _figure(nth(name, self._k), height, label, self._time)
+        if self._beside:
+            _show_times(chart)
+        return chart
 
     def _draw_output(self) -> Any:
         chart = self._figure("output", 320, self._output_signal.label)
@@ -247,7 +280,8 @@ class TimeCharts:
         """Draw these two sources; `described` names their signals."""
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self._loops = [
-            LoopCharts(self.time, (plant, twin), loop, k) for k, loop in enumerate(described.loops)
+            LoopCharts(self.time, (plant, twin), loop, k, beside=len(described.loops) > 1)
+            for k, loop in enumerate(described.loops)
         ]
         self.time.renderers = [
             line for loop_charts in self._loops for line in (loop_charts.line, *loop_charts.forecasts.lines)
@@ -286,9 +320,9 @@ class TimeCharts:
 
     @property
     def fit_to_narrow(self) -> CustomJS:
-        """In the browser: on a narrow screen legends use more lines, and the time axis fewer ticks."""
-        legends = [chart.legend[0] for chart in self.figures if chart.legend]
-        return CustomJS(args={"legends": legends, "axes": self.happened.xaxis[0]}, code=_FIT_TO_NARROW)
+        """In the browser: on a narrow screen the time axes have fewer ticks."""
+        axes = [chart.xaxis[0] for chart in self.figures]
+        return CustomJS(args={"axes": axes}, code=_FEWER_TICKS)
 
     def span(self, seconds: float) -> None:
         """Show the newest `seconds`."""
@@ -319,7 +353,7 @@ class TimeCharts:
         lanes = FactorRange(factors=list(reversed(dict.fromkeys(LANES.values()))))
         chart = _figure("happened", 185, "", self.time, y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"
-        chart.xaxis.major_label_text_font_size = "12px"
+        _show_times(chart)
         chart.ygrid.grid_line_color = None
         strip: dict[str, Any] = {"left": "left", "right": "right", "line_color": None}
         strips = chart.hbar("lane", 0.6, source=self._stretches, fill_color="colour", **strip)
@@ -336,8 +370,13 @@ def _figure(name: str, height: int, label: str, time: DataRange1d, **options: An
     chart = figure(name=name, height=height, **options)
     chart.toolbar.logo = None
     chart.toolbar.autohide = True
-    chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has tick labels
+    chart.xaxis.major_label_text_font_size = "0px"  # of a column only the lowest shows the times
     return chart
+
+
+def _show_times(chart: Any) -> None:
+    """Show the times below a chart."""
+    chart.xaxis.major_label_text_font_size = "12px"
 
 
 def _step(

@@ -87,6 +87,7 @@ class Dashboard(TwinmatchNode):
             control=self.values["control"],
             settings=lambda: self._settings,
         )
+        self._requests.prepare()
         state = self.state
 
         def drive(message: PwmApplied | PlantApplied, applied: OperatingPoint, current: float) -> None:
@@ -146,13 +147,15 @@ class Dashboard(TwinmatchNode):
 
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(record_of(message))
+        self._requests.prepare()
         if not self.values["config"] and message.plant != self._settings.plant.name:
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 
     def _on_health(self, message: DiagnosticArray) -> None:
         time_received = time.monotonic()
         for status in message.status:
-            if status.name.endswith(PLANT_REPORT):  # the page shows the plant's health from the verdicts
+            if status.name.endswith(PLANT_REPORT):
+                self.state.push_plant_report(status.message)
                 continue
             values = {pair.key: pair.value for pair in status.values}
             level = int.from_bytes(status.level, "little")

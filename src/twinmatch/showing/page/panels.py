@@ -193,10 +193,12 @@ def tiles(state: DashboardState) -> str:
         )
         rows.append([(label, number(values.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
+        # The last report of a played session is later than its last sample: the drive has let go.
+        applied_word = "applied" if state.nodes.ended is None else "applied after the end"
         for tiles_of_loop, (_, _, control), applied in zip(
             rows, loops, point_values(state.drive.input), strict=False
         ):
-            tiles_of_loop.append((with_unit("applied", control.unit), number(applied, control.decimals)))
+            tiles_of_loop.append((with_unit(applied_word, control.unit), number(applied, control.decimals)))
         if not math.isnan(state.drive.current):
             rows[0].append(("current / A", number(state.drive.current, 2)))
     return "".join(_tiles(tiles_of_loop, "tiles now") for tiles_of_loop in rows)

@@ -10,6 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.publisher import Publisher
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -71,9 +72,19 @@ class Requests:
             self._stop = node.create_client(Trigger, "plant/stop")
             self._course = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
+            self._reference: Publisher | None = None
+
+    def prepare(self) -> None:
+        """Get ready to send set-points once the plant has been described as one with a single loop.
+
+        Those of several loops travel in another type of message, which this page does not send.
+        """
+        described = self._state.described
+        has_one_loop = described.plant and len(described.loops) == 1
+        if self.control and has_one_loop and self._reference is None:
             # Not latched: a restarted controller must not receive an old request.
             quiet = {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
-            self._reference = node.create_publisher(Float64, "plant/reference", RELIABLE, **quiet)
+            self._reference = self._node.create_publisher(Float64, "plant/reference", RELIABLE, **quiet)
 
     def pause(self, paused: bool) -> None:
         """Pause the player of a session, or continue."""
@@ -186,6 +197,8 @@ class Requests:
         elif not (math.isfinite(level) and low <= level <= high):
             why = f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
             self._state.notify(False, why)
+        elif self._reference is None:
+            self._state.notify(False, "not set: the discriminator has not said yet what plant this is")
         else:
             self._reference.publish(Float64(data=level))
             confirmation = f"requested {level:g} {unit}; the set-point above follows with the next sample"

@@ -194,6 +194,8 @@ class DashboardState:
         """What the verdicts of this session come down to."""
         self.taught: list[Verdict] = []
         """The first verdict of this session with a nominal candidate, alone; empty before it."""
+        self.fault_reason = ""
+        """What was said of the plant's fault when it was named; empty without a fault."""
         self.verdicts = 0
         """How often the verdict has changed, over all sessions."""
         self.sentence = ""
@@ -231,8 +233,13 @@ class DashboardState:
 
     @property
     def statements(self) -> Statements:
-        """What is said of trust and faults now."""
-        return statements_of(self.verdict, self.fault)
+        """What is said of trust and faults now, of the plant's fault with the sentence that named it: later ones
+        are of other things, such as matches."""
+        statements = statements_of(self.verdict, self.fault)
+        fault = statements.plant_fault
+        if fault is None or not self.fault_reason:
+            return statements
+        return statements._replace(plant_fault=fault._replace(reason=self.fault_reason))
 
     @property
     def current_forecast(self) -> Forecast | None:
@@ -325,8 +332,29 @@ class DashboardState:
             self.tally.push(verdict)
             if not self.taught and verdict.chosen is not None:
                 self.taught.append(verdict)
+            self.fault_reason = self._reason_of_fault(verdict)
             self.verdict = verdict
             self.verdicts += 1
+
+    def _reason_of_fault(self, verdict: Verdict) -> str:
+        """What is said of the fault of a verdict: the reason of the first one that named it.
+
+        The reasons of those after it are of other things, such as matches.
+        """
+        before = self.verdict
+        if not verdict.fault:
+            return ""
+        if before is not None and before.named_fault == verdict.named_fault:
+            return self.fault_reason
+        return verdict.reason
+
+    def push_plant_report(self, message: str) -> None:
+        """Take what the discriminator reports of the plant: a page that was opened late has not seen the
+        verdict that named the fault."""
+        named, _, reason = message.partition(": ")
+        with self.lock:
+            if self.verdict is not None and self.verdict.fault and self.verdict.named_fault == named:
+                self.fault_reason = reason
 
     def push_forecast(self, forecast: Forecast) -> None:
         """Take a forecast of the leader."""
@@ -401,6 +429,7 @@ class DashboardState:
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
         self.verdict = None
+        self.fault_reason = ""
         self.verdicts = self.verdicts + 1
         self.sentence = ""
         self.forecast = None

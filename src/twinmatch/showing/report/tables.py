@@ -201,30 +201,55 @@ def _formats(members: Sequence[Member]) -> list[ParameterFormat]:
 def match_table(
     matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
 ) -> ReportTable | None:
-    """Every match, admitted or refused, and why, None without one; `closed`: whether the loop is known."""
-    if not matches:
-        return None
-    reasons = {v.sample: refusal(v) for v in verdicts if v.match == REFUSED}
-    plant = matches[0].match.parameters.model.plant
-    names = in_order(plant, {name for m in matches for name in m.match.free})
+    """Every match, admitted or refused, and why, None without one; `closed`: whether the loop is known.
 
-    def result(report: MatchReport) -> Cell:
-        word = match_word(report, verdicts)
+    A window that was refused before anything was fitted to it has a row without values.
+    """
+    reasons = {v.sample: refusal(v) for v in verdicts if v.match == REFUSED}
+    fitted = {m.sample for m in matches}
+    rows = [_MatchRow(m.sample, m) for m in matches]
+    rows += [_MatchRow(sample, None) for sample in reasons if sample not in fitted]
+    if not rows:
+        return None
+
+    def result(row: _MatchRow) -> Cell:
+        word = REFUSED if row.report is None else match_word(row.report, verdicts)
         return _words(word, css_class=word.partition(":")[0])
 
-    shown: list[tuple[str, Callable[[MatchReport], Cell]]] = [
-        ("t / s", lambda m: Cell(number(m.sample * period, 0))),
-        ("set-point" if closed else "operating point", lambda m: Cell(point_text(m.operating_point))),
+    def why(row: _MatchRow) -> Cell:
+        return _words(reasons.get(row.sample, row.report.match.reason if row.report else ""))
+
+    shown: list[tuple[str, Callable[[_MatchRow], Cell]]] = [
+        ("t / s", lambda row: Cell(number(row.sample * period, 0))),
+        (
+            "set-point" if closed else "operating point",
+            _of_report(lambda report: Cell(point_text(report.operating_point))),
+        ),
         ("match", result),
     ]
-    for name in names:
-        q = parameter_format(plant, name)
-        shown.append((q.label, partial(_matched_cell, q)))
-    shown.append(("fit y / %", lambda m: Cell(percent(m.match.fit.y))))
+    if matches:
+        plant = matches[0].match.parameters.model.plant
+        for name in in_order(plant, {name for m in matches for name in m.match.free}):
+            q = parameter_format(plant, name)
+            shown.append((q.label, _of_report(partial(_matched_cell, q))))
+    shown.append(("fit y / %", _of_report(lambda report: Cell(percent(report.match.fit.y)))))
     if closed:
-        shown.append(("fit u / %", lambda m: Cell(percent(m.match.fit.u))))
-    shown.append(("why", lambda m: _words(reasons.get(m.sample, m.match.reason))))
-    return _table("Every match of the session", matches, shown)
+        shown.append(("fit u / %", _of_report(lambda report: Cell(percent(report.match.fit.u)))))
+    shown.append(("why", why))
+    return _table("Every match of the session", sorted(rows, key=lambda row: row.sample), shown)
+
+
+class _MatchRow(NamedTuple):
+    """A window that was to be matched."""
+
+    sample: int
+    report: MatchReport | None
+    """What was fitted to it; None: it was refused before."""
+
+
+def _of_report(cell: Callable[[MatchReport], Cell]) -> Callable[[_MatchRow], Cell]:
+    """A cell of what was fitted; a dash where nothing was."""
+    return lambda row: Cell("–") if row.report is None else cell(row.report)
 
 
 def _matched_cell(q: ParameterFormat, report: MatchReport) -> Cell:

@@ -210,7 +210,7 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     outputs, inputs, driven = _fitted(judgement, shown)
     loop = f"closed-loop twin of {shown.name}, "
     open_loop = f"driven twin of {shown.name}, "
-    trusted = ("trusted", str(s.range) if s.range else "–")
+    bands_held = ("forecasts have held", str(s.range) if s.range else "–")
     closed = judgement.settings.law is not None
     facts = [
         (f"{loop if closed else open_loop}{y}", f"fit {fit} %, {y.text(error, finer=2)} RMS")
@@ -219,7 +219,7 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     facts += [(f"{loop}{u}", f"fit {fit} %, {u.text(error, finer=1)} RMS") for u, fit, error in inputs]
     if closed:
         facts += [(f"{open_loop}{y}", f"{y.text(error, finer=1)} RMS") for y, _, error in driven]
-    return [*facts, trusted]
+    return [*facts, bands_held]
 
 
 def _matches(judgement: Judgement) -> str:
