@@ -233,7 +233,7 @@ class DashboardState:
 
     @property
     def statements(self) -> Statements:
-        """What is said of trust and faults now, of the plant's fault with the sentence that named it: later ones
+        """What is said now of trust and faults; of the plant's fault the sentence that named it: later ones
         are of other things, such as matches."""
         statements = statements_of(self.verdict, self.fault)
         fault = statements.plant_fault
