@@ -394,7 +394,7 @@ def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_p
     assert (limits["input"].low, limits["input"].high) == pytest.approx((0.0, 100.0), abs=1e-6)
     room = sources["room"]
     followed = room.follow("room", "°C", room.channels("room"), ["std_msgs/msg/Float64"])
-    assert followed.value([300.0]) == pytest.approx(26.85)
+    assert followed.value([300.0], 0.0) == pytest.approx(26.85)
     assert find_plant(path).disturbances.keys() == {"room"}
 
 
@@ -404,7 +404,7 @@ def test_several_topics_give_their_mean() -> None:
     channels = source.channels("output")
     assert [channel.text for channel in channels] == ["/t2:data", "/t3:data"]
     followed = source.follow("output", "°C", channels, ["std_msgs/msg/Float64"] * 2)
-    assert followed.value([200.0, 300.0]) == pytest.approx(21.0)
+    assert followed.value([200.0, 300.0], 0.0) == pytest.approx(21.0)
 
 
 def test_units_that_messages_have_by_their_definition_are_known() -> None:
@@ -412,8 +412,8 @@ def test_units_that_messages_have_by_their_definition_are_known() -> None:
     source = sources_of("sampler", check("sampler", *understood("sampler", parameters)))["output"]
     kinds = ["sensor_msgs/msg/Temperature"]
     warm = [parse_channel("/t:temperature")]
-    assert source.follow("output", "K", warm, kinds).value([20.0]) == pytest.approx(293.15)
-    assert source.follow("output", "°C", warm, kinds).value([20.0]) == 20.0
+    assert source.follow("output", "K", warm, kinds).value([20.0], 0.0) == pytest.approx(293.15)
+    assert source.follow("output", "°C", warm, kinds).value([20.0], 0.0) == 20.0
     with pytest.raises(TwinmatchError, match=r"in Pa \(according to sensor_msgs/msg/FluidPressure\)"):
         source.follow("output", "°C", [parse_channel("/t:fluid_pressure")], ["sensor_msgs/msg/FluidPressure"])
 

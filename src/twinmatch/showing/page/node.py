@@ -80,7 +80,7 @@ class Dashboard(TwinmatchNode):
         self._shown = Shown(described, lambda: self._settings)
         self.state = self._shown.state
         self._requested: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        requests = Requests(
+        self._requests = Requests(
             self,
             self.state,
             self._requested.put,
@@ -123,7 +123,9 @@ class Dashboard(TwinmatchNode):
         if self.values["tell"]:
             self._shown.publish_to(self.values["tell"])
         address = self.values["address"]
-        self._shown.serve(requests, self.values["port"], address, Hosts.of(address, self.values["hosts"]))
+        self._shown.serve(
+            self._requests, self.values["port"], address, Hosts.of(address, self.values["hosts"])
+        )
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)
         self.report_on()
