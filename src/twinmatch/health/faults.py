@@ -7,10 +7,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from twinmatch.dynamics import Plant
-from twinmatch.health.traces import DriveEffect, Repeats
-from twinmatch.signals import Sample
-
 
 class HealthState(Enum):
     """How the plant is at one sample."""
@@ -272,114 +268,6 @@ class Evidence(NamedTuple):
     reason: str
     slow: bool = False
     """Whether it was found by tracking the plant (`SlowChanges`)."""
-
-
-class FaultSentences:
-    """Describes the traces of faults on one plant."""
-
-    def __init__(self, plant: type[Plant], period: float) -> None:
-        """`period` is the sample time, s."""
-        self._plant = plant
-        self._period = period
-        self._span = plant.output.span
-        self.output = f"the {plant.output.text or plant.output.name}"
-        self.unit = f" {plant.output.unit}".rstrip()
-        self.input = plant.drive.unit or plant.drive.name
-        self.sensor = f"the {plant.output.sensor}"
-        self.surroundings = plant.surroundings
-        self._other = "thermometer" if plant.output.unit == "°C" else "instrument"
-
-    def signal(self, fault: Fault) -> str:
-        """Name of what a fault of a plant with one loop concerns; empty where it may be anything."""
-        traits = TRAITS[fault]
-        if traits.subject is Subject.OUTPUT:
-            return self._plant.output.name
-        if traits.subject is Subject.DRIVE:
-            return self._plant.drive.name
-        if traits.subject is Subject.PARAMETER:
-            return self._parameter(traits.role)
-        return ""
-
-    def _parameter(self, role: str) -> str:
-        """Name of the first parameter with a role; empty if the plant file gives it to none."""
-        for name, declared in self._plant.parameters.items():
-            if declared.role == role:
-                return name
-        return ""
-
-    def refused(self, before: Sample | None, sample: Sample) -> Evidence:
-        """A reading that the plant cannot have, or cannot have reached from the sample before."""
-        [reading] = sample.refused
-        if before is None or not self._span[0] <= reading <= self._span[1]:
-            reason = (
-                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input}, which is "
-                f"impossible: look at {self.sensor}"
-            )
-        else:
-            reason = (
-                f"{self.output} jumped from {before.output:.4g} to {reading:.4g}{self.unit} in one sample, "
-                f"{abs(reading - sample.output):.3g}{self.unit} more than the plant can explain: "
-                f"look at {self.sensor}"
-            )
-        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
-
-    def recurring(self) -> str:
-        """Steps that were called impossible, and have come again and again."""
-        return (
-            f"{Fault.SENSOR_IMPLAUSIBLE.value} is taken back: steps of {self.output} as large as those that "
-            "were refused recur, and its readings continue from there, so the plant makes them"
-        )
-
-    def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:
-        """A sensor that repeats one reading."""
-        reason = (
-            f"{self.output} has been stuck at {sample.output:g}{self.unit} for "
-            f"{repeats.count * self._period:g} s, while the plant should have moved "
-            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: "
-            f"look at {self.sensor}"
-        )
-        return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
-
-    def late(self, index: int, effect: DriveEffect, lag: float, *, sure: bool) -> Evidence:
-        """Readings that lag behind the plant."""
-        reason = f"{self.output} follows the drive with a delay of {lag:g} s: look at {self.sensor}"
-        return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
-
-    def lost(self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False) -> Evidence:
-        """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
-        moved = signed(effect.expected)
-        shown = signed(effect.share * effect.expected)
-        alternative = ", or the plant loses far more than before" if lagged else ""
-        where = f", and at {self.surroundings}" if lagged else ""
-        reason = (
-            f"the drive should have moved {self.output} by {moved}{self.unit} in "
-            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: the drive is "
-            f"lost, or {self.sensor} does not see it{alternative}; look at drive, wires, supply and "
-            f"sensor{where}"
-        )
-        return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
-
-    def weak(self, index: int, effect: DriveEffect, lasts: int, *, sure: bool) -> Evidence:
-        """A drive whose effect has been too small for `lasts` samples."""
-        reason = (
-            f"the drive has had {max(effect.share, 0.0):.0%} of its expected effect on {self.output} for "
-            f"{lasts * self._period:g} s: look at drive, wires and supply"
-        )
-        return Evidence(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
-
-    def doubted(self, offset: float) -> str:
-        """Readings that may have shifted."""
-        return (
-            f"the readings of {self.output} may be off by about {signed(offset)}{self.unit}: "
-            f"compare them with another {self._other}"
-        )
-
-    def passed(self, moved: float, lasted: float) -> str:
-        """What has moved the output for a while."""
-        return (
-            f"something other than the drive moved {self.output} for about {lasted:g} s, by "
-            f"{signed(moved)}{self.unit} in all, and has ceased: look at {self.surroundings}"
-        )
 
 
 def signed(value: float) -> str:
