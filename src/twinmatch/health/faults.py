@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
+
+from twinmatch.requirements import FINITE, LARGEST, Within
 
 
 class HealthState(Enum):
@@ -230,17 +232,17 @@ class EstimatedReading:
     """Index of the sample."""
     signal: str
     """Name of the output in the plant file."""
-    value: float
+    value: Annotated[float, FINITE]
     """What it should read, in its unit."""
-    band: float
+    band: Annotated[float, Within(0.0, LARGEST, may_be_absent=False)]
     """Half of the width that holds 90 % of what it would read."""
     reading: float
     """What it read."""
     since: int
     """First sample at which it is read through."""
-    wide: float
+    wide: Annotated[float, FINITE]
     """Half width up to which the estimate counts as good."""
-    good: float
+    good: Annotated[float, FINITE]
     """For how long from the first sample on it was to be good, s; at most an hour is looked ahead."""
 
 
