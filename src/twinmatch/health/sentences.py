@@ -97,8 +97,8 @@ class FaultSentences:
         low, high = self._plant.output.span
         if before is None or not low <= reading <= high:
             reason = (
-                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input} and "
-                f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
+                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input}, "
+                f"which is impossible: look at {self.sensor}"
             )
         else:
             reason = (

@@ -35,7 +35,7 @@ def nothing_changes(origin: Origin) -> ArxForecast:
     """Who has learned nothing yet."""
     past_window = origin.past
     past = np.array([[past_window.output[-1], past_window.input[-1]]])
-    return ArxForecast(np.zeros((0, 0)), np.zeros(0), past, np.zeros((1, 2)), None, np.zeros(0))
+    return ArxForecast(np.zeros((0, 0)), np.zeros(0), past, past[0], np.zeros((1, 2)), None, np.zeros(0))
 
 
 def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
