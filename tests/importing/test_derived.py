@@ -85,7 +85,7 @@ def test_units_and_words_in_cells_are_those_of_devices(tmp_path: Path) -> None:
 def test_two_units_in_a_column_stay_texts_and_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,T,active\n0,68 °F,0\n1,21 °C,1\n2,22 °C,1\n")
-    with pytest.raises(RecordingError, match="line 2: 'T' is '68 °F', which is not a number"):
+    with pytest.raises(RecordingError, match="line 3: 'T' is '21 °C', which is not a number"):
         mapped(path, "output=T")
 
 

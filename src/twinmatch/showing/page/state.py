@@ -341,19 +341,21 @@ class DashboardState:
 
         The reasons of those after it are of other things, such as matches.
         """
-        before = self.verdict
-        if not verdict.fault:
+        fault = statements_of(verdict).plant_fault
+        before = statements_of(self.verdict).plant_fault
+        if fault is None:
             return ""
-        if before is not None and before.named_fault == verdict.named_fault:
+        if before is not None and before.called == fault.called:
             return self.fault_reason
-        return verdict.reason
+        return fault.reason
 
     def push_plant_report(self, message: str) -> None:
         """Take what the discriminator reports of the plant: a page that was opened late has not seen the
         verdict that named the fault."""
         named, _, reason = message.partition(": ")
         with self.lock:
-            if self.verdict is not None and self.verdict.fault and self.verdict.named_fault == named:
+            fault = statements_of(self.verdict).plant_fault
+            if fault is not None and fault.called == named:
                 self.fault_reason = reason
 
     def push_forecast(self, forecast: Forecast) -> None:
