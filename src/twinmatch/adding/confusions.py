@@ -112,7 +112,7 @@ class FaultTrial:
         self._competition = Competition(parameters, period)
         healthy = self._competition.healthy
         words = FaultSentences(model, period)
-        named = [row for row in self._competition.rows if row.cause[0] not in _NOT_NAMED]
+        named = [row for row in self._competition.rows if _is_of_one_number(row)]
         self.called = {row.number: words.called(row.cause) for row in named}
         """The numbers that may change, in words."""
         self.rows = _least_of_each_number(named)
@@ -143,7 +143,7 @@ class FaultTrial:
         spawn(traces, table, members.at, np.zeros(1), -1.0, len(self.inputs), 0)
         saved = self._follow(members, traces, self.readings(fault), self.inputs[len(self.healthy) :])
         saved += np.log(table.mass)
-        numbers = np.array(["" if row.cause[0] in _NOT_NAMED else row.number for row in rows])
+        numbers = np.array([row.number if _is_of_one_number(row) else "" for row in rows])
         savings_by_number = {name: saved[:, numbers == name].max(axis=1) for name in self.called}
         savings_of_fault = savings_by_number.pop(fault.number)
         reported = savings_of_fault >= CHANGE
@@ -206,6 +206,11 @@ def _least_of_each_number(rows: list[ChangeRow]) -> list[ChangeRow]:
         if _is_tried(row):
             least[row.number, bool(row.slowly)] = row
     return list(least.values())
+
+
+def _is_of_one_number(row: ChangeRow) -> bool:
+    """Whether a row has a name, and is not of what several drives share: that is no change of one signal."""
+    return row.cause[0] not in _NOT_NAMED and not row.also
 
 
 def _is_tried(row: ChangeRow) -> bool:
