@@ -242,6 +242,7 @@ def on_one_clock(
             kinds[name] = "set"
     table, times = in_rows(table, sources, kinds, times)
     signals = {name: signal_values(table, sources, name) for name in names}
+    _require_usual_sizes(table, signals)
     columns = (times.seconds, *signals.values())
     rows = complete_rows(*columns)
     if rows.size < 2:
@@ -258,11 +259,15 @@ def on_one_clock(
         place=str(table.path),
         row=lambda i: table.row_name(int(rows[i])),
     )
-    for name, values in resampled.columns.items():
-        largest = np.abs(values).max()
+    return resampled, bridge
+
+
+def _require_usual_sizes(table: Table, signals: Mapping[str, FloatArray]) -> None:
+    """Refuse values too large for squares, in any row: limits are taken from all of them."""
+    for name, values in signals.items():
+        largest = np.abs(values[~np.isnan(values)]).max(initial=0.0)
         if not largest < _MOST:
             raise RecordingError(f"{table.path}: {name} reaches {largest:g}; correct its values")
-    return resampled, bridge
 
 
 class _FirstOrder(NamedTuple):
