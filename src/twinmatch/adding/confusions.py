@@ -209,7 +209,7 @@ def _least_of_each_number(rows: list[ChangeRow]) -> list[ChangeRow]:
 
 
 def _is_of_one_number(row: ChangeRow) -> bool:
-    """Whether a row has a name, and is not of what several drives share: that is no change of one signal."""
+    """Whether a row has a name and changes one number; what several drives share changes two."""
     return row.cause[0] not in _NOT_NAMED and not row.also
 
 
