@@ -177,13 +177,8 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
-    disturbances = {}
-    for name in disturbance_names:
-        values = resampled.columns[name]
-        unit = unit_of(table, sources, name)
-        disturbances[name] = Signal(word(name, names_in_file), unit, float(values.min()), float(values.max()))
+    disturbances = disturbance_signals(table, sources, disturbance_names, resampled, names_in_file)
     period = signal_map.period or usual_period(model.lag, resampled.period)
-    plant_names = {name: disturbance.name for name, disturbance in disturbances.items()}
     return Proposal(
         output=Signal(output_name, output_unit, *_output_range(reading, drive_range, model)),
         input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
@@ -193,19 +188,48 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
         gain=model.gain,
         lag=model.lag,
         rest=model.rest,
-        sources={plant_names.get(signal, signal): source for signal, source in signal_map.sources.items()},
+        sources=by_names_in_file(signal_map, disturbances),
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
         held=not disturbance_names and is_held(resampled.columns["input"]),
         split=bool(resampled.gaps),
         bridge=bridge,
         notes=(
-            *table.notes,
-            *notes_on_readings(table, sources),
-            *notes_on_times(table, sources.get("time"), times),
+            *notes_on_table(table, sources, times),
             *note_on_period(model.lag, resampled.period, period),
         ),
     )
+
+
+def disturbance_signals(
+    table: Table,
+    sources: Mapping[str, SignalSource],
+    names: Sequence[str],
+    resampled: Resampled,
+    names_in_file: list[str],
+) -> dict[str, Signal]:
+    """The disturbances of a plant by their names in the map, with the ranges that they had; the names that
+    they get are added to those in the file."""
+    disturbances = {}
+    for name in names:
+        values = resampled.columns[name]
+        unit = unit_of(table, sources, name)
+        disturbances[name] = Signal(word(name, names_in_file), unit, float(values.min()), float(values.max()))
+    return disturbances
+
+
+def by_names_in_file(signal_map: SignalMap, disturbances: Mapping[str, Signal]) -> dict[str, SignalSource]:
+    """The sources of a map with the names that disturbances have in the file."""
+    sources = {}
+    for name, source in signal_map.sources.items():
+        sources[disturbances[name].name if name in disturbances else name] = source
+    return sources
+
+
+def notes_on_table(table: Table, sources: Mapping[str, SignalSource], times: Times) -> tuple[str, ...]:
+    """How a table was read."""
+    of_times = notes_on_times(table, sources.get("time"), times)
+    return (*table.notes, *notes_on_readings(table, sources), *of_times)
 
 
 def note_on_period(lag: float, row_period: float, period: float) -> list[str]:

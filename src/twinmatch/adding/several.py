@@ -17,9 +17,11 @@ from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
     Signal,
     alike,
+    by_names_in_file,
+    disturbance_signals,
     is_signal,
     note_on_period,
-    notes_on_readings,
+    notes_on_table,
     on_one_clock,
     range_of,
     round_out,
@@ -28,9 +30,8 @@ from twinmatch.adding.proposal import (
     signal_values,
     unit_of,
     without_spikes,
-    word,
 )
-from twinmatch.importing.mapped import notes_on_times, require_columns, times_of, with_titles
+from twinmatch.importing.mapped import require_columns, times_of, with_titles
 from twinmatch.importing.resampling import usual_period
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.sources import SignalMap, SignalSource
@@ -108,12 +109,7 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
         unit = unit_of(table, sources, name)
         limits = range_of(signal_values(table, sources, name))
         inputs.append(Signal(signal_name(sources, name, names_in_file), unit, *limits))
-    disturbances = {}
-    for name in names.disturbances:
-        unit = unit_of(table, sources, name)
-        values = resampled.columns[name]
-        bounds = (float(values.min()), float(values.max()))
-        disturbances[name] = Signal(word(name, names_in_file), unit, *bounds)
+    disturbances = disturbance_signals(table, sources, names.disturbances, resampled, names_in_file)
     longest_stretch = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
     columns = {name: column[longest_stretch] for name, column in resampled.columns.items()}
     moving = [columns[name] for name in (*names.inputs, *names.disturbances)]
@@ -130,14 +126,12 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
         inputs=tuple(inputs),
         disturbances=tuple(disturbances.values()),
         period=period,
-        sources=_by_names_in_file(signal_map, disturbances),
+        sources=by_names_in_file(signal_map, disturbances),
         table=table.path.name,
         split=bool(resampled.gaps),
         bridge=bridge,
         notes=(
-            *table.notes,
-            *notes_on_readings(table, sources),
-            *notes_on_times(table, sources.get("time"), times),
+            *notes_on_table(table, sources, times),
             *note_on_period(fastest, resampled.period, period),
         ),
     )
@@ -169,14 +163,6 @@ def _around(
         if alike(disturbance.unit, unit):
             return _Around(disturbance, columns[name])
     return None
-
-
-def _by_names_in_file(signal_map: SignalMap, disturbances: dict[str, Signal]) -> dict[str, SignalSource]:
-    """The sources with the names that disturbances have in the file."""
-    sources = {}
-    for name, source in signal_map.sources.items():
-        sources[disturbances[name].name if name in disturbances else name] = source
-    return sources
 
 
 class _Around(NamedTuple):

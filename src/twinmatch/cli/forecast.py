@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import MAX_SAMPLES, ArrivalQuestion, arrival
 from twinmatch.offline.clock_times import seconds_until
-from twinmatch.offline.judging import terms_from_files
+from twinmatch.offline.judging import Terms, terms_from_files
 from twinmatch.offline.outlooks import (
     LONGEST,
     RECORDED,
@@ -25,6 +26,7 @@ from twinmatch.offline.outlooks import (
     samples_at,
 )
 from twinmatch.offline.processes import held_interrupts
+from twinmatch.sessions import Session
 from twinmatch.showing.arrivals import arrival_document, arrival_words
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
@@ -104,15 +106,7 @@ def _arrivals(options: argparse.Namespace) -> int:
         settings = terms.settings
         indices = options.at or [session.samples[-1].index]
         samples = samples_at(session, indices)
-        with Progress() as progress:
-            by_sample = prospects(
-                session,
-                terms,
-                samples,
-                candidate=options.candidate,
-                whole=options.from_the_beginning,
-                watch=progress.advance,
-            )
+        by_sample = _prospects(options, session, terms, samples)
         for index in indices:
             stamp = samples[index].stamp
             by = None if options.by is None else seconds_until(options.by, stamp)
@@ -127,6 +121,21 @@ def _arrivals(options: argparse.Namespace) -> int:
             documents.append({"sample": index, "candidate": outlook.candidate, **arrival_document(answer)})
     write_json(options.json, lambda: documents)
     return 0
+
+
+def _prospects(
+    options: argparse.Namespace, session: Session, terms: Terms, indices: Collection[int]
+) -> dict[int, Prospect]:
+    """What the twin knows at each of these samples, by index; shows how far the judging is."""
+    with Progress() as progress:
+        return prospects(
+            session,
+            terms,
+            indices,
+            candidate=options.candidate,
+            whole=options.from_the_beginning,
+            watch=progress.advance,
+        )
 
 
 def _sample(text: str) -> int:
@@ -168,15 +177,7 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
             hold=options.hold,
             rows=rows,
         )
-    with Progress() as progress:
-        by_sample = prospects(
-            session,
-            terms,
-            samples,
-            candidate=options.candidate,
-            whole=options.from_the_beginning,
-            watch=progress.advance,
-        )
+    by_sample = _prospects(options, session, terms, samples)
     last = by_sample[max(samples)]
     taught_samples = [s for s in session.samples if last.since is None or s.index >= last.since]
     measured = filled_stretches(taught_samples, settings, last.taught)

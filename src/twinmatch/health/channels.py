@@ -344,10 +344,7 @@ class ChannelMonitor:
         If not, it may be learned in silence: the end of a named change, or a change of a plant that is not
         known yet.
         """
-        age = (self.competition.count - best.born) / self.competition.second
-        if best.cause[0] is Fault.DRIVE_WEAK and age < _NAMING.sized:
-            return False
-        if best.cause[0] is Fault.DRIVE_WEAK and best.shift > 0.0 and best.evidence < _NAMING.more:
+        if best.cause[0] is Fault.DRIVE_WEAK and self._is_open(best):
             return False
         undone = next((named for named in self._standing if self._undoes(best, named)), None)
         if undone is not None:
@@ -363,10 +360,19 @@ class ChannelMonitor:
             self._adopt(best)
         return False
 
+    def _age(self, suspect: Suspect) -> float:
+        """Time since its onset, in s of a plant as fast as the rig."""
+        return (self.competition.count - suspect.born) / self.competition.second
+
+    def _is_open(self, drive: Suspect) -> bool:
+        """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
+        lack."""
+        lacks_evidence = drive.shift > 0.0 and drive.evidence < _NAMING.more
+        return lacks_evidence or self._age(drive) < _NAMING.sized
+
     def _began_known(self, best: Suspect) -> bool:
         """Whether the plant was known well when the change began."""
-        age = (self.competition.count - best.born) / self.competition.second
-        return self.competition.known - age >= _NAMING.learned
+        return self.competition.known - self._age(best) >= _NAMING.learned
 
     @staticmethod
     def _is_material(best: Suspect) -> bool:

@@ -15,7 +15,7 @@ from twinmatch.health.faults import EVERY, Fault
 
 PlacedFault = tuple[Fault, int]
 """A fault, and the place of the free parameter, drive or output that it concerns; of a `DRIFT`, the place of
-the drive that something unknown acts like; `EVERY` for all drives at once."""
+the drive that something unknown acts like; `EVERY` for two drives at once."""
 
 RARE: Final = 2.5
 """Price of what comes evenly over minutes, nats."""

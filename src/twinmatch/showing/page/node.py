@@ -88,6 +88,20 @@ class Dashboard(TwinmatchNode):
             settings=lambda: self._settings,
         )
         self._requests.prepare()
+        self._subscribe()
+        self._begin_timers()
+        if self.values["tell"]:
+            self._shown.publish_to(self.values["tell"])
+        address = self.values["address"]
+        self._shown.serve(
+            self._requests, self.values["port"], address, Hosts.of(address, self.values["hosts"])
+        )
+        able = "read this page and command the plant" if self.values["control"] else "read this page"
+        warn_if_open("PAGE", address, able)
+        self.report_on()
+
+    def _subscribe(self) -> None:
+        """Have the state take what the graph says."""
         state = self.state
 
         def drive(message: PwmApplied | PlantApplied, applied: OperatingPoint, current: float) -> None:
@@ -114,21 +128,15 @@ class Dashboard(TwinmatchNode):
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):
             self.create_subscription(kind, topic, take, qos)
+
+    def _begin_timers(self) -> None:
+        """Ask, sum up and carry out requests from time to time, on a clock that is never set."""
         if self.values["reach"]:
             goal = Goal(number_in(self.values["reach"], "dashboard: reach"), self.values["by"])
             ask = partial(self._requests.reach, goal)
             self.create_timer(ASKED_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if self.values["tell"]:
-            self._shown.publish_to(self.values["tell"])
-        address = self.values["address"]
-        self._shown.serve(
-            self._requests, self.values["port"], address, Hosts.of(address, self.values["hosts"])
-        )
-        able = "read this page and command the plant" if self.values["control"] else "read this page"
-        warn_if_open("PAGE", address, able)
-        self.report_on()
 
     @property
     def failure(self) -> Exception | None:
