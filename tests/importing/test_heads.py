@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from twinmatch.importing.tables import Table, read_table
+from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.sessions.files import RecordingError
 from twinmatch.units import quantity_in
 
@@ -117,3 +119,94 @@ def test_two_units_in_one_column_are_refused(tmp_path: Path) -> None:
         table_of(tmp_path, "time,T", *rows, "10,68 °F", *(f"{k},{20 + k} °C" for k in range(11, 30))).values(
             "T"
         )
+
+
+TABBED = [row.replace(",", "\t") for row in ROWS]
+SEMICOLONS = [row.replace(",", ";") for row in ROWS]
+OBJECTS = [
+    json.dumps(dict(zip(("time", "T", "on"), map(float, row.split(",")), strict=True))) for row in ROWS
+]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        pytest.param(
+            [
+                '"TOA5","CR1000","CR1000","1234"',
+                '"time","T","on"',
+                '"TS","Deg C","-"',
+                '"","Avg","Smp"',
+                *DATED,
+            ],
+            id="kinds of values",
+        ),
+        pytest.param(
+            ["Date:1.3.2026\tUnit:C\tSTART:00:30\tEND:12:00", "time\tT\ton", *TABBED], id="wider remarks"
+        ),
+        pytest.param(
+            ["Logger\t", "Channels\t2\t", "***End***\t", "time\tT\ton\tComment", *TABBED], id="narrower rows"
+        ),
+        pytest.param(
+            ["Logger: testo;;", "Begin;01.03.2026 10:00:00;", "time;T;on", *SEMICOLONS], id="empty cells"
+        ),
+        pytest.param(["Model,MDO,", "Interval,5.0,", ",,", "time,T,on", *ROWS], id="settings"),
+        pytest.param(["time,T,on", "Comment,none,none", "Rate[ms],1000,1000", *ROWS], id="below the names"),
+        pytest.param(['"time', '(s)","T', '(°C)",on', *ROWS], id="names over two lines"),
+        pytest.param(OBJECTS, id="objects"),
+    ],
+)
+def test_names_are_found_among_remarks(tmp_path: Path, lines: list[str]) -> None:
+    table = table_of(tmp_path, *lines)
+    assert [title.partition(" ")[0] for title in table.columns][:3] == ["time", "T", "on"]
+    assert table.values(table.find("T")).tolist() == [20.5 + k % 5 for k in range(40)]
+
+
+def test_objects_within_objects_and_arrays_of_them_are_rows(tmp_path: Path) -> None:
+    rows = [{"time": k, "oven": {"T": 20.5 + k, "note": None}, "tags": [1]} for k in range(9)]
+    path = tmp_path / "log.json"
+    path.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    table = read_table(path)
+    assert list(table.columns) == ["time", "oven.T", "oven.note"]
+    assert table.values("oven.T").tolist() == [20.5 + k for k in range(9)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (['{"a": 1}', '{"a": '], "line 2: is not JSON"),
+        (['{"a": 1}', "[1]"], "row 2: is not an object"),
+        (["[1, 2]"], "give column names"),
+        (["[", "1, 2]"], "row 1: is not an object"),
+    ],
+)
+def test_what_are_no_objects_is_refused(tmp_path: Path, lines: list[str], message: str) -> None:
+    with pytest.raises(RecordingError, match=message):
+        table_of(tmp_path, *lines)
+
+
+def test_commas_separate_thousands_where_points_are_decimal(tmp_path: Path) -> None:
+    rows = [f'{k}.0,"{1000 + k:,}","1,234,{k:03d}.5"' for k in range(9)]
+    table = table_of(tmp_path, "time,p,q", *rows)
+    assert table.values("p").tolist() == [1000.0 + k for k in range(9)]
+    assert table.values("q").tolist() == [1234000.5 + k for k in range(9)]
+
+
+@pytest.mark.parametrize("word", ["#N/A", "---", "1.#QNAN", "#DIV/0!", "no data"])
+def test_what_stands_for_no_value_is_a_gap(tmp_path: Path, word: str) -> None:
+    table = table_of(tmp_path, "time,T", *(f"{k},{word if k % 2 else 20}" for k in range(40)))
+    assert np.isnan(table.values("T")[1::2]).all()
+
+
+@pytest.mark.parametrize(
+    ("title", "name_and_unit"),
+    [
+        ("Temp, °C (LGR S/N: 20512345)", ("Temp", "°C")),
+        ("[°C] Probe 1", ("Probe 1", "°C")),
+        ("Temperature 1 (degC)", ("Temperature 1", "degC")),
+        ("(first) probe", ("(first) probe", "")),
+        ("Flow, cold side (l/min)", ("Flow, cold side", "l/min")),
+    ],
+)
+def test_a_title_has_a_name_and_a_unit(title: str, name_and_unit: tuple[str, str]) -> None:
+    assert split_title(title) == name_and_unit

@@ -561,7 +561,7 @@ def test_a_table_holds_the_same_numbers_however_many_rows_are_read_at_once(
             "day,T\n2021-01-01 10:00,m\n2021-01-01 10:01,2\n2021-01-01 10:02,3\n",
             "line 2: 'T' is 'm', which is",
         ),
-        ('t;T\n0;"1,000.5"\n1;"2,000.5"\n', "write numbers without separators of thousands"),
+        ('t,T\n0,"1,000"\n1,"2,000"\n', "write numbers without separators of thousands"),
     ],
 )
 def test_cells_that_are_not_numbers_are_refused_in_words(tmp_path: Path, text: str, message: str) -> None:

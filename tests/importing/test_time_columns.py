@@ -12,6 +12,7 @@ from twinmatch.cli import main
 from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.mapped import times_of, with_titles
 from twinmatch.importing.recordings import read_recording
+from twinmatch.importing.table_files import open_table
 from twinmatch.importing.tables import Table, read_table
 from twinmatch.sampling.sources import parse_map
 from twinmatch.sessions.files import RecordingError
@@ -188,3 +189,44 @@ def test_a_second_clock_without_a_unit_is_a_note(tmp_path: Path, capsys: pytest.
     table = table_of(tmp_path, *two_clocks("elapsed"))
     assert main(["new-plant", "kettle_note", "--from", str(table.path), "-o", str(tmp_path)]) == 0
     assert "Note: Two clocks: by 'time (s)'" in capsys.readouterr().out
+
+
+def test_times_count_since_1904_where_they_would_be_far_in_the_future(tmp_path: Path) -> None:
+    rows = [f"{3_878_755_200 + 5 * k}.25,{20 + k % 3},{k % 2}" for k in range(25)]  # 2026-11-28, by LabVIEW
+    table = table_of(tmp_path, "Timestamp,T,heater", rows)
+    times = times_of(table, parse_map(["time=Timestamp"]).sources["time"], None)
+    assert times.origin == 1_795_910_400.25
+    assert np.diff(times.seconds).tolist() == [5.0] * 24
+
+
+@pytest.mark.parametrize(
+    ("form", "seconds"),
+    [
+        ("Sat Nov 28 23:50:{:02d} CET 2026", 1_795_906_200.0),
+        ("2026-11-28 23:50:{:02d} EST", 1_795_927_800.0),
+    ],
+)
+def test_names_of_time_zones_are_read(tmp_path: Path, form: str, seconds: float) -> None:
+    table = table_of(tmp_path, "when,T,heater", [f"{form.format(2 * k)},{20 + k},{k % 2}" for k in range(25)])
+    times = times_of(table, parse_map(["time=when"]).sources["time"], None)
+    assert times.origin == seconds
+    assert np.diff(times.seconds).tolist() == [2.0] * 24
+
+
+def test_two_numbers_are_guessed_as_times_and_asked_about(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "Time,T,heater", [f"10:{k:02d},{20 + k % 3},{k % 2}" for k in range(25)])
+    assert guess(table) == {"time": "Time", "output": "T", "input": "heater"}
+    with pytest.raises(RecordingError, match="hours and minutes, or minutes and seconds"):
+        seconds_of(table, "Time")
+
+
+def test_a_line_of_counts_below_stacked_series_is_left_out(tmp_path: Path) -> None:
+    rows = []
+    for k in range(30):
+        rows.append(f"T;28.11.2026 23:50:{2 * k % 60:02d};{20 + k % 3};1")
+        rows.append(f"heater;28.11.2026 23:50:{2 * k % 60:02d};{k % 2};1")
+    path = tmp_path / "wincc.csv"
+    path.write_text("\n".join(["VarName;TimeString;VarValue;Validity", *rows, "$COUNT$;60;;"]), "utf-8")
+    table = open_table(path)
+    assert guess(table) == {"time": "TimeString", "output": "VarValue[T]", "input": "VarValue[heater]"}
+    assert table.notes == ("Line 62 is not a row and is left out: '$COUNT$'.",)

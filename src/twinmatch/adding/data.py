@@ -30,6 +30,7 @@ from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.resampling import Gaps
 from twinmatch.importing.table_files import open_table
+from twinmatch.importing.tables import TEXTS
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.separation import inseparable_in
 from twinmatch.sampling.sources import SignalMap
@@ -92,7 +93,7 @@ def data_for(
     `progress` is called with how much has been read, and of how much; `longest` and `gaps` are those of
     `map_samples`.
     """
-    if path.suffix.lower() in {".csv", ".txt", ".tsv"} or signal_map.sources:
+    if path.suffix.lower() in TEXTS or signal_map.sources:
         table = open_table(path, progress)
         table, signal_map = with_derived(table, signal_map)
         full_map = with_plant_names(table, plant, signal_map)

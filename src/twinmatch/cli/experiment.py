@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shlex
 from pathlib import Path
-from typing import Final
 
 from twinmatch.adding.data import data_for
 from twinmatch.cli.shared import (
@@ -32,6 +31,7 @@ from twinmatch.controllers import (
     try_controller,
 )
 from twinmatch.controllers.next_experiment import LEAST
+from twinmatch.importing.tables import TEXTS
 from twinmatch.nodes import require_ros
 from twinmatch.offline.controllers import (
     Ground,
@@ -54,9 +54,6 @@ from twinmatch.showing.first_steps import (
     first_steps_words,
     pid_words,
 )
-
-TABLES: Final = frozenset({".csv", ".tsv", ".txt"})
-"""Suffixes of tables, whose columns are mapped to the plant's signals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -142,7 +139,7 @@ def run(options: argparse.Namespace) -> int:
 def _opened(options: argparse.Namespace) -> Session:
     """The session, or the table with the plant's names or a map."""
     path: Path = options.session
-    if options.plant is None or path.suffix.lower() not in TABLES:
+    if options.plant is None or path.suffix.lower() not in TEXTS:
         return open_shown(path, options.plant)
     plant = find_plant(options.plant)
     with Progress("reading") as progress:

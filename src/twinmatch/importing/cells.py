@@ -10,17 +10,23 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.sampling import written_numbers
 from twinmatch.signals import FloatArray
 from twinmatch.units import quantity_in
 
 __all__ = ["WORDS", "Cells", "number"]
 
-WORDS: Final = {
-    **dict.fromkeys(("true", "on", "yes", "heating", "open"), 1.0),
-    **dict.fromkeys(("false", "off", "no", "idle", "closed"), 0.0),
-    **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-", "unavailable", "unknown"), math.nan),
-}
+_WITHOUT_VALUE: Final = (
+    *("", "-", "--", "---", "----", "?"),
+    *("nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind"),
+    *("na", "n/a", "n.a.", "#n/a", "#nv", "#value!", "#div/0!", "#ref!", "#num!"),
+    *("null", "none", "nil", "no data", "missing", "invalid", "unavailable", "unknown"),
+)
+"""What loggers and spreadsheets write where there is no value, in small letters."""
+WORDS: Final = {**written_numbers.WORDS, **dict.fromkeys(_WITHOUT_VALUE, math.nan)}
 """Words of cells, in small letters, and the numbers that they mean; nan: no value."""
+_THOUSANDS: Final = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")
+"""A number with commas between its thousands."""
 
 
 def number(text: str, decimal: str = ".") -> float | None:
@@ -37,8 +43,8 @@ def number(text: str, decimal: str = ".") -> float | None:
 class Cells:
     """The cells of a table, taken in row by row, or many plain rows at once."""
 
-    def __init__(self, width: int, separator: str, decimal: str) -> None:
-        """Begin without rows."""
+    def __init__(self, width: int, separator: str, decimal: str, *, thousands: bool = False) -> None:
+        """Begin without rows; `thousands`: whether commas are known to separate thousands."""
         self.places = array("q")
         """The line of each row in the file."""
         self.texts: list[dict[int, str]] = [{} for _ in range(width)]
@@ -48,6 +54,7 @@ class Cells:
         self._numbers = [array("d") for _ in range(width)]
         self._separator = separator
         self._decimal = decimal
+        self._thousands = thousands
         self._empty = re.compile(rf"(^|{re.escape(separator)})(?={re.escape(separator)}|$)")
 
     def take_rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
@@ -63,6 +70,8 @@ class Cells:
     def _value_of_text(self, column: int, text: str) -> float:
         """The number that a cell means; nan without one, and the cell is kept unless it is empty."""
         value = number(text, self._decimal)
+        if value is None and self._thousands and _THOUSANDS.fullmatch(text.strip()):
+            value = float(text.replace(",", ""))
         if value is not None:
             return value
         quantity = quantity_in(text)

@@ -14,10 +14,11 @@ import numpy as np
 from twinmatch.decoding import decoded
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.clocks import is_record_number
+from twinmatch.importing.dates import is_two_numbers
 from twinmatch.importing.pairs import moving, share_a_word
 from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import read_times
+from twinmatch.importing.times import Times, read_times
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
@@ -169,7 +170,7 @@ def _column(table: Table, title: str) -> Column:
     except TwinmatchError:
         pass
     try:
-        times = read_times(table, title)
+        times = _read_any_times(table, title)
     except TwinmatchError:
         different_texts = {*table.texts[title].values(), *table.columns[title].tolist()}
         return Column(title, table.unit(title), np.nan, np.nan, len(different_texts), 0, "text")
@@ -180,6 +181,20 @@ def _column(table: Table, title: str) -> Column:
     if times.origin is not None and not (np.rint(times.origin + seconds) % 86400.0).any():
         kind = "day"
     return Column(title, unit, 0.0, float(seconds.max()), different, times.seconds.size - seconds.size, kind)
+
+
+def _read_any_times(table: Table, title: str) -> Times:
+    """The times in a column; two numbers, as in `12:30`, are minutes and seconds until a map says more.
+
+    Raises:
+        TwinmatchError: it has no times.
+    """
+    try:
+        return read_times(table, title)
+    except TwinmatchError:
+        if not is_two_numbers(next(iter(table.texts.get(title, {}).values()), "")):
+            raise
+        return read_times(table, title, "min")
 
 
 def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Column:

@@ -56,6 +56,13 @@ _DAY: Final = 86400.0
 _COLON_FRACTION: Final = re.compile(r"(:\d{2}:\d{2}):(\d{1,6})$")
 """Milliseconds behind a colon."""
 _MONTHS: Final = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
+_HOURS_EAST: Final = {
+    **{"UTC": 0, "GMT": 0, "WET": 0, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3},
+    **{"EST": -5, "EDT": -4, "CDT": -5, "MDT": -6, "PST": -8, "PDT": -7},
+}
+"""Names of time zones, and their hours east of Greenwich; without those that mean several."""
+_ZONES: Final = "|".join(_HOURS_EAST)
+_ZONE_AT_END: Final = re.compile(rf"\s*\b({_ZONES})$")
 _WEEKDAY: Final = r"(?:[A-Za-z]{3,9},?\s+)?"
 _MONTH: Final = r"(?P<month>[A-Za-z]{3})[a-z]*\.?"
 _DAY_AND_NAME: Final = re.compile(
@@ -65,7 +72,8 @@ _NAME_AND_DAY: Final = re.compile(
     rf"{_WEEKDAY}{_MONTH}\s+(?P<day>\d{{1,2}}),?\s+(?P<year>\d{{4}}),?\s+(?P<clock>\d.*)"
 )
 _NAME_AND_YEAR_LAST: Final = re.compile(
-    rf"{_WEEKDAY}{_MONTH}\s+(?P<day>\d{{1,2}})\s+(?P<clock>\d[\d:.]*)\s+(?P<year>\d{{4}})"
+    rf"{_WEEKDAY}{_MONTH}\s+(?P<day>\d{{1,2}})\s+(?P<clock>\d[\d:.]*\s+(?:{_ZONES})?)\s*"
+    r"(?P<year>\d{4})"
 )
 """Dates with the name of a month, in English."""
 
@@ -119,7 +127,8 @@ def from_iso(text: str) -> float | None:
     """Seconds since 1970 of a date of ISO 8601, as UTC without a time zone; None if the text is not one."""
     plain = _without_names(text.strip())
     plain = plain.replace("/", "-").replace(",", ".")
-    plain = _COLON_FRACTION.sub(r"\1.\2", re.sub(r"\s*(UTC|GMT)$", "Z", plain))
+    plain = _ZONE_AT_END.sub(lambda zone: f"{_HOURS_EAST[zone[1]]:+03d}:00", plain.rstrip())
+    plain = _COLON_FRACTION.sub(r"\1.\2", plain)
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
     if dot:  # Python 3.10 accepts three or six decimals, loggers write any number

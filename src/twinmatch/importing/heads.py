@@ -18,12 +18,14 @@ from twinmatch.importing.dates import is_date
 from twinmatch.sessions.files import RecordingError
 from twinmatch.units import measure, quantity_in
 
-__all__ = ["Head", "Line", "head_of", "split_title", "with_units"]
+__all__ = ["Head", "Line", "head_of", "split_title", "with_units", "with_whole_quotes"]
 
 _SEPARATORS: Final = ",;\t"
 _SEPARATOR_LINE: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
 """The line that names the separator for Excel."""
 _TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
+_UNIT_FIRST: Final = re.compile(r"[(\[](?P<unit>[^()\[\]]+)[)\]]\s*(?P<name>\S.*)")
+"""A title with its unit before the name, as in `[°C] Probe 1`."""
 _LABELLED: Final = re.compile(r"[^:]*[^:\d\s][^:]*[:=]\s*[-+]?\d[\d.,]*\s*\S{0,5}")
 """A value behind its name, as in `Temp:20.5`."""
 SPACES: Final = " "
@@ -46,6 +48,18 @@ class Head(NamedTuple):
     """From the column names on."""
     notes: list[str]
     """Sentences on lines that are left out, or that are names behind a `#`."""
+
+
+def with_whole_quotes(lines: Sequence[Line]) -> list[Line]:
+    """The first lines of a table, with names that are quoted over several lines in one.
+
+    That is so if the first line leaves a quote open.
+    """
+    first_lines = list(lines)
+    while len(first_lines) > 1 and first_lines[0].text.count('"') % 2:
+        names, more, *rows = first_lines
+        first_lines = [Line(names.place, f"{names.text} {more.text}"), *rows]
+    return first_lines if len(first_lines) > 1 else list(lines)
 
 
 def head_of(path: Path, remarks: Sequence[Line], lines: Sequence[Line]) -> Head:
@@ -107,9 +121,47 @@ def _first_full_line(lines: Sequence[Line], separator: str) -> int:
     width, count = _usual_width(lines, separator)
     if 2 * count < len(lines):
         return 0
-    widths = [len(_cells(line.text, separator)) for line in lines]
-    place = next(k for k, other_width in enumerate(widths) if other_width >= width)
+    rows = [_cells(line.text, separator) for line in lines]
+    place = next(k for k, cells in enumerate(rows) if len(cells) >= width)
+    first_values = _first_values(rows, width)
+    if first_values:
+        place = _best_names(rows[:first_values], width, default=place)
     return place if place + 2 < len(lines) else 0
+
+
+def _first_values(rows: Sequence[Sequence[str]], width: int) -> int:
+    """Place of the first of three rows of numbers and dates; 0 if there are none."""
+    is_row = [len(cells) >= width and _is_row(cells) for cells in rows]
+    return next((k for k in range(len(rows) - 2) if all(is_row[k : k + 3])), 0)
+
+
+def _best_names(rows: Sequence[Sequence[str]], width: int, *, default: int) -> int:
+    """Place of the line above the values that names most columns; of equal ones the first of their width.
+
+    Remarks, units and kinds of columns may stand above and below the names.
+    """
+    places = [k for k, cells in enumerate(rows) if len(cells) >= width and _has_names(cells)]
+    named = [k for k in places if not _are_units(rows[k])]
+    if not named:
+        return default
+
+    def worth(place: int) -> tuple[int, bool, int]:
+        texts = {cell.strip() for cell in rows[place] if cell.strip()[:1] not in "+-.0123456789"}
+        return min(len(texts), width), len(rows[place]) == width, -place
+
+    return max(named, key=worth)
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    units = [cell.strip().strip("()[]") for cell in cells if cell.strip()]
+    return all(unit.lower() in WORDS or measure(unit).known for unit in units)
+
+
+def _is_row(cells: Sequence[str]) -> bool:
+    """Whether most of the cells that are filled are numbers or dates."""
+    filled = [cell for cell in cells if cell.strip()]
+    values = [cell for cell in filled if number(cell, ",") is not None or is_date(cell)]
+    return 2 * len(values) > len(filled)
 
 
 def _cells(text: str, separator: str) -> list[str]:
@@ -155,24 +207,39 @@ def _without_names(path: Path, place: int, cells: Sequence[str], separator: str)
 
 
 def split_title(title: str) -> tuple[str, str]:
-    """Name and unit of a column, such as `Temperature 1 (degC)`."""
+    """Name and unit of a column, such as `Temperature 1 (degC)` or `Temp, °C (LGR S/N: 20512345)`."""
     match = _TITLE.match(title.strip())
-    return (match["name"].strip(), match["unit"].strip()) if match else (title.strip(), "")
+    if match is None:
+        return _split_after_unit(title.strip())
+    name = match["name"].strip()
+    unit = match["unit"].strip()
+    before_comma, comma, after_comma = name.rpartition(",")
+    if comma and not measure(unit).known and measure(after_comma.strip()).known:
+        return before_comma.strip(), after_comma.strip()
+    return name, unit
+
+
+def _split_after_unit(title: str) -> tuple[str, str]:
+    """Name and unit of a column whose unit stands first; no unit if it has another form."""
+    match = _UNIT_FIRST.fullmatch(title)
+    if match is None or not measure(match["unit"].strip()).known:
+        return title, ""
+    return match["name"], match["unit"].strip()
 
 
 def with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
     """Titles with the units of a line below the names, and the number of such lines, 0 or 1.
 
-    `cells` are those of the two lines below the titles. The first has units if its cells begin with letters
-    or symbols, some are known units, and the second has numbers there.
+    `cells` are those of the lines below the titles. The first has units if its cells begin with letters
+    or symbols, some are known units, and a further one has numbers there.
     """
-    below, next_line = cells
+    below, *further_lines = cells
     units = [cell.strip().removeprefix("(").removesuffix(")") for cell in below]
     filled = [k for k, unit in enumerate(units) if unit.lower() not in WORDS]
     is_unit = [bool(unit) and measure(unit).known for unit in units]
     if not any(is_unit) or any(_begins_as_number(units[k]) for k in filled):
         return titles, 0
-    if all(number(next_line[k], ",") is None for k in filled):
+    if not any(number(cells[k], ",") is not None for cells in further_lines for k in filled):
         return titles, 0
     titles_with_units = []
     for title, unit, is_known in zip(titles, units, is_unit, strict=True):

@@ -37,9 +37,10 @@ def remark_rows(
 ) -> list[int]:
     """The rows (from 0) that are remarks.
 
-    A column of numbers has few texts, one of dates few texts other than dates. A row with such a text is a
+    A column of numbers has few texts, one of dates few cells other than dates. A row with such a cell is a
     remark if it has neither a number nor a date at all; at the foot of the table if it has no date, and no
-    number in the first column.
+    number in the first column. Above the first number in the first column of a table whose other rows all
+    have one, every row is a remark: of units, of channels.
 
     A row that repeats a title is one, too.
 
@@ -59,6 +60,7 @@ def remark_rows(
         if column_texts.get(row, "").strip() == title.strip() != ""
     }
     remarks = repeats | {row for row in odd_rows if not _has_values(row, columns, texts)}
+    remarks |= _rows_below_titles(columns, texts)
     foot = _RULE.foot if rows >= _RULE.fewest else 0
     for row in range(rows - 1, rows - 1 - foot, -1):
         if row not in odd_rows or _has_a_date(row, texts) or np.isfinite(columns[0][row]):
@@ -67,15 +69,31 @@ def remark_rows(
     return sorted(remarks)
 
 
+def _rows_below_titles(columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]) -> set[int]:
+    """The first rows, if their first cell is text and that of all others is a number."""
+    if not columns or columns[0].size < _RULE.fewest:
+        return set()
+    is_number = np.isfinite(columns[0])
+    first_row = int(np.argmax(is_number))
+    first_texts = texts[0]
+    if not is_number[first_row:].all() or first_row > _RULE.foot:
+        return set()
+    if any(not first_texts.get(row, "").strip() or is_date(first_texts[row]) for row in range(first_row)):
+        return set()
+    return set(range(first_row))
+
+
 def _odd_cells(column: FloatArray, texts: Mapping[int, str]) -> Iterable[int]:
-    """The rows of texts in a column of numbers, or of texts other than dates in a column of dates."""
+    """The rows of texts in a column of numbers, or of cells other than dates in a column of dates."""
     numbers = int(np.isfinite(column).sum())
     filled = {row: text for row, text in texts.items() if text.strip()}
     if len(filled) <= min(_RULE.most, 0.1 * numbers):
         return filled.keys()
     if numbers > len(filled) or not is_date(next(iter(filled.values()), "")):
         return ()
-    odd_rows = []
+    odd_rows = np.flatnonzero(np.isfinite(column)).tolist()
+    if len(odd_rows) > _RULE.most:
+        return ()
     for row, text in filled.items():
         if not is_date(text):
             odd_rows.append(row)

@@ -41,10 +41,14 @@ class _StackRule:
 
 
 _RULE: Final = _StackRule()
-_VALUES: Final = re.compile(r"^(_?value|state|val|reading|data|numeric_?value|mean|last)$", re.IGNORECASE)
+_VALUES: Final = re.compile(
+    r"^(_?value|state|val|reading|data|mean|last|(numeric|var|variable|tag|point|signal)_?value)$",
+    re.IGNORECASE,
+)
 _NAMES: Final = re.compile(
-    r"^(_field|entity(_id)?|sensor(_?(id|name))?|tag(_?name)?|topic|variable|metric|series|channel|signal|"
-    r"parameter|point|key|name|item|device(_?(id|name))?|node(_?(id|name))?|attribute)$",
+    r"^(_field|entity(_id)?|sensor(_?(id|name))?|tag(_?name)?|topic|var(iable)?(_?name)?|metric|series|"
+    r"channel(_?name)?|signal(_?name)?|parameter|point(_?name)?|key|name|item|device(_?(id|name))?|"
+    r"node(_?(id|name))?|attribute)$",
     re.IGNORECASE,
 )
 _CHANGES: Final = re.compile(r"^last_(changed|updated)(_ts)?$", re.IGNORECASE)

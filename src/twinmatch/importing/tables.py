@@ -1,11 +1,12 @@
-"""Tables of other programs, with any columns: `.csv` and MATLAB `.mat`.
+"""Tables of other programs, with any columns: text and MATLAB `.mat`.
 
-A **.csv** file has a line of column names, perhaps a line of their units, then a line per row. Columns are
-separated by commas, semicolons, tabs or spaces, or by what a first line `sep=…` says; lines that begin with
-`#` are ignored, unless the names stand behind the last one. Numbers may have their unit behind them, as in
-`17.99 °C`. Where commas do not separate columns, they may be decimal separators. `true`, `on` and `yes` are
-1, `false`, `off` and `no` 0; an empty cell, `nan`, `null`, `unavailable` and `unknown` have no value. A row
-takes 8 bytes per column of numbers in memory, however it is written.
+A **text** file (`.csv`, `.txt`, `.log`, `.lvm`, …) has a line of column names, perhaps a line of their
+units, then a line per row; or it has a JSON object per row. Columns are separated by commas, semicolons,
+tabs or spaces, or by what a first line `sep=…` says; lines that begin with `#` are ignored, unless the
+names stand behind the last one. Numbers may have their unit behind them, as in `17.99 °C`. Where commas do
+not separate columns, they may be decimal separators. `true`, `on` and `yes` are 1, `false`, `off` and `no`
+0; an empty cell, `nan`, `null`, `unavailable` and `unknown` have no value. A row takes 8 bytes per column
+of numbers in memory, however it is written.
 
 Lines above the names and lines of text among the rows are left out, and named in the table's notes.
 
@@ -29,18 +30,21 @@ import numpy as np
 
 from twinmatch.importing.annotated import is_annotation, joined_tables
 from twinmatch.importing.cells import Cells, number
-from twinmatch.importing.heads import SPACES, Line, head_of, split_title, with_units
+from twinmatch.importing.heads import SPACES, Line, head_of, split_title, with_units, with_whole_quotes
+from twinmatch.importing.json_rows import begins_as_json, table_of_objects
 from twinmatch.importing.matlab import read_matrices
 from twinmatch.importing.remarks import remark_rows
 from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of, open_regular
 from twinmatch.signals import FloatArray
 
-__all__ = ["LIMITS", "Table", "number", "read_table", "split_title"]
+__all__ = ["LIMITS", "TEXTS", "Table", "number", "read_table", "split_title"]
 
 _BLOCK: Final = 4096
 """Lines that are read at once."""
 _REMARKS_NAMED: Final = 3
 """Lines that are left out and named one by one."""
+_LINES_BELOW: Final = 4
+"""Lines below the names that are looked at for units: further ones may say what a column is."""
 _HEAD_LINES: Final = 53
 """First lines, from which separators, units and decimal separator are found."""
 _BYTE_ORDER_MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
@@ -60,6 +64,12 @@ class TableLimits:
 
 
 LIMITS: Final = TableLimits()
+TEXTS: Final = frozenset(
+    {".csv", ".tsv", ".txt", ".dat", ".log", ".asc", ".prn", ".lvm", ".json", ".jsonl", ".ndjson"}
+)
+"""Suffixes of tables that are text, in small letters."""
+_POINT: Final = re.compile(r"\s*[-+]?[\d,]*\d\.\d+\s*")
+"""A number with a decimal point: commas of the same table separate thousands."""
 _ARCHIVE: Final = b"PK\x03\x04"
 _WESTERN: Final = "cp1252"
 """What Windows programs write where they do not write UTF-8: `°` and `µ` are single bytes."""
@@ -160,7 +170,7 @@ def read_table(
             if os.fstat(file.fileno()).st_size > LIMITS.size:
                 msg = f"{path}: has more than {LIMITS.size / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
-        if suffix in (".csv", ".txt", ".tsv"):
+        if suffix in TEXTS:
             return _read_csv(path, first_bytes, progress)
         if suffix == ".mat":
             return _read_mat(path, matrix)
@@ -168,7 +178,9 @@ def read_table(
         raise RecordingError(f"{path}: does not exist") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
-    raise RecordingError(f"{path}: is neither a .csv nor a .mat file; save it as one of these")
+    raise RecordingError(
+        f"{path}: has the suffix {path.suffix!r}; a table is text ({', '.join(sorted(TEXTS))}) or .mat"
+    )
 
 
 def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
@@ -218,6 +230,9 @@ def _lines(
     if first_line is not None and is_annotation(first_line.text):
         yield from joined_tables(filled_lines)
         return
+    if first_line is not None and begins_as_json(first_line.text):
+        yield from table_of_objects(path, filled_lines)
+        return
     is_first = True
     for line in filled_lines():
         if line.text.lstrip()[:1] != "#":
@@ -230,7 +245,7 @@ def _lines(
 
 def _parse(path: Path, lines: Iterator[Line], remarks: Sequence[Line]) -> Table:
     """The table in these lines; `remarks` are filled while the first of them is read."""
-    first_lines = list(islice(lines, _HEAD_LINES))
+    first_lines = with_whole_quotes(list(islice(lines, _HEAD_LINES)))
     head = head_of(path, remarks, first_lines)
     separator = head.separator
     if separator == SPACES:
@@ -239,10 +254,12 @@ def _parse(path: Path, lines: Iterator[Line], remarks: Sequence[Line]) -> Table:
         head = head._replace(lines=list(_with_tabs(iter(head.lines))))
     (titles_line, titles), *beginning = _rows(path, iter(head.lines), separator)
     _check_titles(path, titles)
-    titles, unit_lines = with_units(titles, [cells for _, cells in beginning[:2]])
+    titles, unit_lines = with_units(titles, [cells for _, cells in beginning[:_LINES_BELOW]])
     decimal = _decimal([cells for _, cells in beginning], quoted=separator == ",")
-    table_cells = Cells(len(titles), separator, decimal)
-    table_cells.take_rows(beginning[unit_lines:])
+    first_rows = beginning[unit_lines:]
+    has_point = decimal == "." and any(_POINT.fullmatch(cell) for _, row in first_rows for cell in row)
+    table_cells = Cells(len(titles), separator, decimal, thousands=has_point)
+    table_cells.take_rows(first_rows)
     while block := list(islice(lines, _BLOCK)):
         if not table_cells.take_plain(block):
             table_cells.take_rows(_rows(path, iter(block), separator, header=(titles_line, len(titles))))

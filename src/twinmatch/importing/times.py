@@ -1,9 +1,10 @@
 """Times of loggers as seconds: numbers with a unit, counts since 1970, dates, durations, times of day.
 
 Numbers far beyond any recording's length are counts since 1970, and their size gives the unit: seconds from
-1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates, durations and times
-of day are those of `dates`. A time of day that falls by more than half a day has passed midnight. A date and
-a time of day may be in two columns.
+1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17; so late that they would
+be of 2084 and after, they are counted since 1904. Dates, durations and times of day are those of `dates`. A
+time of day that falls by more than half a day has passed midnight. A date and a time of day may be in two
+columns.
 
 Spreadsheets count days since 1899-12-30. Nothing tells such numbers from seconds for certain, so a column
 that looks like them is not guessed: its unit must be given.
@@ -28,6 +29,10 @@ _ZONE: Final = re.compile(r":\d{2}.*[+-](?!00:?00)\d{2}:?\d{2}$")
 """A time zone other than UTC."""
 _SINCE_1970: Final = 1e8
 """Times from here on, s, are counted from 1970: it was reached in 1973."""
+_SINCE_1904: Final = 3.6e9
+"""Times from here on, s, are counted from 1904, as LabVIEW does: so it was reached in 2018."""
+_FROM_1904_TO_1970: Final = 2082844800.0
+"""Seconds from the beginning of 1904 to that of 1970."""
 _UNITS_SINCE_1970: Final = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (_SINCE_1970, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
 _UNIT_AT_END: Final = re.compile(
@@ -87,7 +92,8 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     if per_second == 1.0 / _DAY and _may_be_days(values):
         return _since((values - _EPOCH_IN_DAYS) * _DAY)
     if largest / per_second >= _SINCE_1970:
-        return _since(values / per_second)
+        counted_since = _FROM_1904_TO_1970 if largest / per_second >= _SINCE_1904 else 0.0
+        return _since(values / per_second - counted_since)
     return Times(values / per_second, None)
 
 

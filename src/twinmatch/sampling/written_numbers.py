@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 from twinmatch.sampling.channels import UnreadableError
 
 WORDS: Final[Mapping[str, float]] = (
-    dict.fromkeys(("on", "true", "open", "heating", "heat", "preheating"), 1.0)
-    | dict.fromkeys(("off", "false", "closed", "idle"), 0.0)
+    dict.fromkeys(("on", "true", "yes", "open", "heating", "heat", "preheating", "ein", "an"), 1.0)
+    | dict.fromkeys(("off", "false", "no", "closed", "idle", "aus"), 0.0)
     | dict.fromkeys(("cooling", "cool"), -1.0)
 )
 """Words that mean the same everywhere, in small letters; what cools is opposed to what heats."""
