@@ -180,7 +180,7 @@ def test_objects_within_objects_and_arrays_of_them_are_rows(tmp_path: Path) -> N
         (["[", "1, 2]"], "row 1: is not an object"),
     ],
 )
-def test_what_are_no_objects_is_refused(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_rows_that_cannot_be_objects_are_refused(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RecordingError, match=message):
         table_of(tmp_path, *lines)
 
