@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import runpy
 import sys
 from dataclasses import replace
@@ -476,7 +477,7 @@ def driven_lag() -> list[Sample]:
 
 
 def test_the_structure_that_made_the_data_is_recommended() -> None:
-    findings, notes, _ = compare_structures(stretches(recorded("with pipe"), 1.0), Exchanger, DRIVEN)
+    findings, notes, *_ = compare_structures(stretches(recorded("with pipe"), 1.0), Exchanger, DRIVEN)
     assert [finding.what for finding in findings] == [
         "the recording supports the structure 'with pipe' rather than 'without'"
     ]
@@ -490,10 +491,25 @@ def test_the_structure_that_made_the_data_is_recommended() -> None:
 
 
 def test_the_simpler_one_is_kept_if_it_suffices() -> None:
-    findings, notes, _ = compare_structures(stretches(recorded("without"), 1.0), Exchanger, DRIVEN)
+    findings, notes, *_ = compare_structures(stretches(recorded("without"), 1.0), Exchanger, DRIVEN)
     assert findings == []
     assert "choose: without" in notes[-1]
     assert notes[0] == "each structure fitted to all 600 samples:"
+
+
+def in_rows_before(samples: list[Sample]) -> list[Sample]:
+    """Samples as a logger writes them that puts the input of an interval beside the reading at its end."""
+    return [replace(now, inputs=before.inputs) for before, now in itertools.pairwise(samples)]
+
+
+def test_rows_with_the_input_of_the_interval_before_are_recognised() -> None:
+    samples = in_rows_before(recorded("without"))
+    compared = compare_structures(stretches(samples, 1.0), Exchanger, DRIVEN)
+    assert compared.findings == []
+    (finding,) = compared.on_rows
+    assert finding.todo == "map the input with '; interval=before' behind its column"
+    assert "each row seems to have the input of the interval before it" in finding.what
+    assert finding.what.endswith("without leaves 0.98 × noise instead of 5 × noise")
 
 
 def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None:

@@ -26,6 +26,7 @@ from twinmatch.importing.tables import read_table
 from twinmatch.importing.times import read_times
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
+from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import read_session, write_session
 from twinmatch.sessions.files import RecordingError
@@ -582,3 +583,14 @@ def test_what_is_not_a_table_is_refused(tmp_path: Path, content: bytes, message:
     (tmp_path / "log.csv").write_bytes(content)
     with pytest.raises(RecordingError, match=message):
         read_table(tmp_path / "log.csv")
+
+
+def test_the_input_of_an_interval_may_stand_at_its_end(tmp_path: Path, heated: type[Plant]) -> None:
+    text = "time,T,power,room\n0,20,9,19\n1,20,1,19\n2,21,2,19\n3,22,3,19\n"
+    entries = ["time=time", "output=T", "input=power; interval=before", "room=room"]
+    signal_map = parse_map(entries)
+    samples = mapped(tmp_path, heated, text, entries).samples
+    assert [sample.input for sample in samples] == [1.0, 2.0, 3.0, 3.0]
+    assert signal_map.sources["input"].text == "power; interval=before"
+    with pytest.raises(SamplingError, match="input: interval=before is for the rows of a table"):
+        signal_map.sources["input"].channels("input")

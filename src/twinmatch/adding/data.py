@@ -39,6 +39,7 @@ from twinmatch.sessions.files import ProgressCallback
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
+from twinmatch.twin.structures import StructureChoice
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,9 @@ class _NoiseRule:
 _NOISE_RULE: Final = _NoiseRule()
 
 
+_ROWS_AHEAD: Final = 0.5
+"""Share of the mean square that is left with inputs a row ahead, below which rows have those of the interval
+before: a wrong structure gains less by looking ahead."""
 _TODO: Final = {
     Status.NO_EXCITATION: "record steps of the input (or the set-point) that move the output far "
     "above its noise",
@@ -127,6 +131,7 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     else:
         problem = f"no window could be matched: {inseparable.sentence}"
         findings.append(Finding(problem, _REST_FIRST))
+    findings += compared.on_rows
     notes += [*_accepted(judgement.matches), *compared.notes]
     matches = [report.match for report in judgement.matches]
     accepted = sum(match.accepted for match in matches)
@@ -329,6 +334,8 @@ class Compared(NamedTuple):
     notes: list[str]
     least: tuple[float, ...]
     """RMS of each output's smallest residuals, in its unit; empty if nothing could be fitted."""
+    on_rows: tuple[Finding, ...] = ()
+    """That the rows are not what the map says; no structure is preferred then."""
 
 
 def compare_structures(
@@ -366,6 +373,8 @@ def _compared(
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
     least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
+    if on_rows := tuple(_of_rows(choice, windows, noise, law)):
+        return Compared([], notes, least, on_rows)
     chosen = choice.chosen
     findings = []
     first = first or names[0]
@@ -379,6 +388,50 @@ def _compared(
         findings.append(Finding(problem, "add the lines above to the plant file"))
         notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
     return Compared(findings, notes, least)
+
+
+def _of_rows(
+    choice: StructureChoice, windows: Sequence[Window], noise: Noise, law: Law | None
+) -> Iterator[Finding]:
+    """That the rows have the inputs of the interval before them: with those a row ahead, far less is left.
+
+    No plant answers to an input before it comes, so nothing else explains that.
+    """
+    left_now = _left(choice.score.fitted, noise)
+    if law is not None or left_now <= LEFT:
+        return
+    windows_ahead = [_a_row_ahead(window) for window in windows]
+    simplest = min(choice.scores, key=lambda score: len(score.fitted.model.structure.free))
+    for score in {score.name: score for score in (simplest, choice.score)}.values():
+        try:
+            ahead = fit_structure(
+                windows_ahead, score.fitted.model, start=score.fitted, noise=noise, law=None
+            )
+        except TwinmatchError:
+            continue
+        left_ahead = _left(ahead, noise)
+        if left_ahead < _ROWS_AHEAD * left_now:
+            yield Finding(
+                "each row seems to have the input of the interval before it: with the inputs a row earlier, "
+                f"{score.name} leaves {_of_noise(left_ahead)} instead of {_of_noise(left_now)}",
+                "map the input with '; interval=before' behind its column",
+            )
+            return
+
+
+def _of_noise(left: float) -> str:
+    return f"{math.sqrt(left):.2g} × noise"
+
+
+def _a_row_ahead(window: Window) -> Window:
+    """The window without its last sample, each sample with the inputs of the next one."""
+    shorter = window.part(window.first, window.first + len(window) - 2)
+    return replace(shorter, inputs=window.inputs[1:])
+
+
+def _left(fitted: StructureFit, noise: Noise) -> float:
+    """Mean square of the residuals of all outputs, in terms of their noise."""
+    return float(np.mean(np.square(_rms(fitted) / np.atleast_1d(noise.outputs))))
 
 
 def _is_chosen(
@@ -396,20 +449,18 @@ def _is_chosen(
 def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None) -> Lack | None:
     """The effect that explains most of what the chosen structure leaves, if it leaves much."""
 
-    def left(fitted: StructureFit) -> float:
-        return float(np.mean(np.square(_rms(fitted) / np.atleast_1d(noise.outputs))))
-
     def fit(start: Parameters) -> tuple[Parameters, float] | None:
         try:
             fitted = fit_structure(windows, start.model, noise=noise, law=law)
         except TwinmatchError:  # too fast for these samples
             return None
-        return None if fitted.bounds_hit else (fitted.parameters, left(fitted))
+        return None if fitted.bounds_hit else (fitted.parameters, _left(fitted, noise))
 
-    if left(score.fitted) <= LEFT:
+    left = _left(score.fitted, noise)
+    if left <= LEFT:
         return None
     independent = sum(len(window) for window in windows) / LASTING
-    return lack_of(score.parameters, windows[0].period, left(score.fitted), independent, fit)
+    return lack_of(score.parameters, windows[0].period, left, independent, fit)
 
 
 def _windows(without_gaps: Sequence[Window]) -> list[Window]:

@@ -37,7 +37,9 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
             title = _title(source)
             columns = {**derived.columns, title: _computed(table, signal_map, source)}
             derived = replace(derived, columns=columns)
-            sources[signal] = SignalSource((title,), source.unit, source.scale, source.offset)
+            sources[signal] = SignalSource(
+                (title,), source.unit, source.scale, source.offset, interval=source.interval
+            )
         elif source.words or source.missing:
             _require_words(table, source)
             for place in source.separate:

@@ -370,7 +370,8 @@ def _values(table: Table, source: SignalSource, signal: str, plant_signal: Plant
             changes.append(source.change(signal, title, plant_signal.unit, stated))
         except SamplingError as error:
             raise RecordingError(f"{table.path}: {error}") from None
-    return source.value([without_marks(table.values(title)) for title in source.places], changes)
+    values = source.value([without_marks(table.values(title)) for title in source.places], changes)
+    return np.append(values[1:], values[-1:]) if source.interval == "before" else values
 
 
 def without_marks(values: FloatArray) -> FloatArray:

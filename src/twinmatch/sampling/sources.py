@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -47,6 +47,7 @@ REFERENCE: Final = "reference"
 TIME: Final = "time"
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
+Interval: TypeAlias = Literal["after", "before"]
 Number = TypeVar("Number", float, FloatArray)
 
 
@@ -69,6 +70,8 @@ class SignalSource:
     """Arithmetic over `names`; empty: the mean of the places."""
     names: tuple[str, ...] = ()
     """What the formula calls each of the places; empty without a formula."""
+    interval: Interval = "after"
+    """Whether the number in a row of a table applies until the next row, or applied since the one before."""
 
     @property
     def text(self) -> str:
@@ -84,6 +87,8 @@ class SignalSource:
             parts.append(f"offset={self.offset:g}")
         if self.missing:
             parts.append(f"missing={' '.join(f'{number:g}' for number in self.missing)}")
+        if self.interval != "after":
+            parts.append(f"interval={self.interval}")
         parts += [f"{word}={number:g}" for word, number in self.words.items()]
         return "; ".join(parts)
 
@@ -124,8 +129,12 @@ class SignalSource:
         """The places as channels; `parse` reads one, by default of a topic of ROS.
 
         Raises:
-            SamplingError: one names no topic.
+            SamplingError: one names no topic, or its numbers are said to apply before they come.
         """
+        if self.interval != "after":
+            raise SamplingError(
+                f"{signal}: interval={self.interval} is for the rows of a table; leave it out"
+            )
         try:
             return tuple(map(parse, self.separate))
         except SamplingError as error:
@@ -315,7 +324,7 @@ def _add_setting(entry: dict[str, Any], name: str, value: str) -> None:
     What looks like a misspelt setting stays one, and is refused later.
     """
     number = _plain_number(value)
-    if name == "unit":
+    if name in ("unit", "interval"):
         entry[name] = value
     elif name == "missing":
         entry[name] = [_plain_number(part) for part in value.replace(",", " ").split()]
@@ -332,7 +341,7 @@ def _is_misspelt(name: str) -> bool:
     return name.lower() in _OTHER_WORDS or bool(get_close_matches(name.lower(), _SETTINGS, cutoff=0.7))
 
 
-_SETTINGS: Final = ("unit", "scale", "offset", "missing", "column")
+_SETTINGS: Final = ("unit", "scale", "offset", "missing", "interval", "column")
 _OTHER_WORDS: Final = ("factor", "gain", "multiplier", "mult", "bias", "shift", "add", "type", "period")
 
 
@@ -343,6 +352,7 @@ class _Source(msgspec.Struct, forbid_unknown_fields=True):
     scale: FiniteNumber = 1.0
     offset: FiniteNumber = 0.0
     missing: FiniteNumber | list[FiniteNumber] = []
+    interval: Interval = "after"
     words: dict[str, FiniteNumber] = {}
     names: dict[str, str] = {}
 
@@ -369,7 +379,15 @@ def source_of(place: str, entry: Any) -> SignalSource:
         raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
     missing = source.missing if isinstance(source.missing, list) else [source.missing]
     words = {word.lower(): number for word, number in source.words.items()}
-    made = SignalSource(tuple(columns), source.unit, source.scale, source.offset, tuple(missing), words)
+    made = SignalSource(
+        tuple(columns),
+        source.unit,
+        source.scale,
+        source.offset,
+        tuple(missing),
+        words,
+        interval=source.interval,
+    )
     return _with_formula(place, made, source.names) if source.names else made
 
 
