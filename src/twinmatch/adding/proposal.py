@@ -109,6 +109,8 @@ class Proposal:
     held: bool = False
     """Whether the drive stood at one level for nearly all of the time, so that gain and rest rest on the
     assumption that the output rested at its first readings."""
+    switched: bool = False
+    """Whether the input only switches between two levels."""
     assumed: bool = False
     """Whether nothing is recorded, so that the lag is what its owner says."""
     split: bool = False
@@ -173,7 +175,8 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
     around = next((n for n in disturbance_names if alike(unit_of(table, sources, n), output_unit)), None)
     if around is not None:
         model = model._replace(rest=float(resampled.columns[around].mean()))
-    drive_range = range_of(signal_values(table, sources, "input"))
+    drive = signal_values(table, sources, "input")
+    drive_range = range_of(drive)
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
@@ -192,6 +195,7 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
         held=not disturbance_names and is_held(resampled.columns["input"]),
+        switched=np.unique(drive[np.isfinite(drive)]).size == 2,
         split=bool(resampled.gaps),
         bridge=bridge,
         notes=(
@@ -383,7 +387,8 @@ def word(title: str, names_in_file: list[str]) -> str:
     plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
     plain = plain if plain.isidentifier() else f"n{plain}"
     reserved = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
-    reserved |= {"acting", "acting_0", "acting_1", "dead_time", "store", "store_lag", "store_share"}
+    reserved |= {"acting", *(f"acting_{k}" for k in range(4)), "dead_time"}
+    reserved |= {"store", "store_lag", "store_share"}
     while keyword.iskeyword(plain) or plain in names_in_file or plain in reserved - {"output"}:
         plain += "_"
     names_in_file.append(plain)

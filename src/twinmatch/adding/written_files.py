@@ -26,6 +26,11 @@ _BENT: Final = 0.1
 """By how much losses have grown over the whole range, to begin with, where nothing is recorded."""
 _BENT_LEAST: Final = 0.4
 """By how much they may have fallen over the whole range: with half, they would not grow with the output."""
+_DEAD_ORDER: Final = 2
+"""States of the dead time where inputs change by small steps."""
+_DEAD_ORDER_SWITCHED: Final = 4
+"""States of the dead time where an input switches: two round its corners off, and the loop that switches on
+what it sees then has another gain and another lag in their place."""
 _LONGEST: Final = 60
 _TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Plant", "State", "Structure")
 """Classes that the file of a plant imports."""
@@ -109,6 +114,7 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "load_most": rounded(y.high - y.low),
         "sensor_lag": rounded(proposal.lag / 10),
         "sensor_low": rounded(proposal.lag / 500),
+        "dead_order": _DEAD_ORDER_SWITCHED if proposal.switched else _DEAD_ORDER,
         "dead_low": rounded(proposal.lag / 50),
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",
