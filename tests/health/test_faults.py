@@ -30,6 +30,11 @@ def test_what_a_guard_acts_on_are_sudden_faults_and_readings_that_shift() -> Non
             assert TRAITS[fault].blinds or fault is Fault.SENSOR_DRIFT
 
 
+def test_what_does_not_blind_is_replaced_by_what_does() -> None:
+    for fault, traits in TRAITS.items():
+        assert traits.blinds or Fault.DRIVE_LOST in PRECEDENCE[fault], fault
+
+
 def test_a_fault_is_never_replaced_by_itself_and_a_sudden_one_by_none_but_graver_ones() -> None:
     for fault, graver in PRECEDENCE.items():
         assert fault not in graver

@@ -317,8 +317,8 @@ class Verdict:
     """Share of the forecasts so far in which the leader's error at the longest horizon was within 3 % of the
     best candidate's in hindsight; NaN without a leader."""
     miss_y: float = math.nan
-    """RMS over the newest samples of output minus forecast, in half widths of the leader's band; NaN if there
-    was no forecast."""
+    """RMS over the newest samples of output minus forecast, in half widths of the leader's band, of several
+    outputs the largest; NaN if there was no forecast."""
     miss_u: float = math.nan
     """The same for the input."""
     inside_y: Annotated[float, SHARE] = math.nan
