@@ -17,11 +17,14 @@ from twinmatch.offline.judging import Terms, terms_from_files
 from twinmatch.offline.outlooks import (
     LONGEST,
     RECORDED,
+    Ahead,
     Prospect,
-    ahead_of,
+    check_recorded_ahead,
     forecast_of,
+    planned_ahead,
     planned_rows,
     prospects,
+    recorded_ahead,
     samples_ahead,
     samples_at,
 )
@@ -30,7 +33,7 @@ from twinmatch.sessions import Session
 from twinmatch.showing.arrivals import arrival_document, arrival_words
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
-from twinmatch.twin import TwinSettings, filled_stretches
+from twinmatch.twin import TwinSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -166,26 +169,28 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     period = terms.settings.period
     size = samples_ahead(options.horizon, settings)
     samples = samples_at(session, options.at)
-    ahead = {}
-    for index, sample in samples.items():
-        ahead[index] = ahead_of(
-            session,
-            sample,
-            size,
-            settings=settings,
-            reference=options.reference,
-            hold=options.hold,
-            rows=rows,
-        )
+    planned: dict[int, Ahead] = {}
+    if options.reference == RECORDED:
+        check_recorded_ahead(session, samples.values(), settings)
+    else:
+        for index, sample in samples.items():
+            planned[index] = planned_ahead(
+                sample,
+                size,
+                settings=settings,
+                reference=options.reference,
+                hold=options.hold,
+                rows=rows,
+            )
     by_sample = _prospects(options, session, terms, samples)
-    last = by_sample[max(samples)]
-    taught_samples = [s for s in session.samples if last.since is None or s.index >= last.since]
-    measured = filled_stretches(taught_samples, settings, last.taught)
     requested = {}
-    for index in samples:
-        forecast = forecast_of(by_sample[index], ahead[index], period)
+    for index, sample in samples.items():
+        prospect = by_sample[index]
+        settled = prospect.stretches
+        ahead = planned.get(index) or recorded_ahead(session, sample, size, settled, settings)
+        forecast = forecast_of(prospect, ahead, period)
         forecast = replace(forecast, notes=(*session.missing, *forecast.notes))
-        requested[index] = _Requested(fan(forecast, measured), by_sample[index], ahead[index].words)
+        requested[index] = _Requested(fan(forecast, settled), prospect, ahead.words)
     return settings, [requested[index] for index in options.at]
 
 

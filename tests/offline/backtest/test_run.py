@@ -188,7 +188,7 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
     choices = Choices(every=2.0, horizons=(0.5, 5.0))
     settings = TwinSettings.of(Motor, period=0.05)
-    listener = Listener("motor", samples, settings, choices)
+    listener = Listener("motor", settings, choices)
     judgement = judge_samples("motor", samples, settings, beside=listener)
     tested = graded(judgement, listener)
     leader = card(tested, LEADER, 5.0)

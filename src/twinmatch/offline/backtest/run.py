@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -9,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import BASELINES, Verdict
+from twinmatch.comparing import BASELINES
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant, channels
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.offline.backtest.scoring import (
@@ -31,7 +32,7 @@ from twinmatch.offline.processes import Beside, held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import part_of
 from twinmatch.signals import FloatArray, Sample, Window, one_of_each
-from twinmatch.twin import Outcome, Twin, TwinSettings, filled_stretches, response_on
+from twinmatch.twin import Outcome, Twin, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
 
 
@@ -250,6 +251,49 @@ class _Graded(NamedTuple):
     """The leader's forecast."""
 
 
+class _SettledStretch:
+    """Settled samples that follow one another, as a window that grows."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._window: Window | None = None
+        self._newest: list[Sample] = []
+        """Samples that are not in the window yet."""
+        self._count = 0
+        self._last: Sample | None = None
+
+    @property
+    def last(self) -> int | None:
+        """Index of the newest sample; None before the first."""
+        return None if self._last is None else self._last.index
+
+    def continued_by(self, sample: Sample) -> bool:
+        """Whether a sample is the next one, or the first."""
+        return self._last is None or sample.follows(self._last)
+
+    def push(self, sample: Sample) -> None:
+        """Take the next sample."""
+        self._last = sample
+        self._count += 1
+        self._newest.append(sample)
+
+    def is_regular(self, pace: int) -> bool:
+        """Whether a multiple of `pace` samples has come."""
+        return self._count > 0 and self._count % pace == 0
+
+    def window(self) -> Window:
+        """All samples so far.
+
+        Raises:
+            SignalError: there is none.
+        """
+        if self._newest or self._window is None:
+            newest = Window.from_samples(self._newest, self._period)
+            self._window = newest if self._window is None else self._window.joined(newest)
+            self._newest = []
+        return self._window
+
+
 class Listener:
     """Records the outlooks of the twin's candidates at some samples while a session is judged, and gives the
     forecasts and their scores to a second process, if there is one."""
@@ -257,7 +301,6 @@ class Listener:
     def __init__(
         self,
         session: str,
-        samples: Sequence[Sample],
         settings: TwinSettings,
         choices: Choices,
         work: Beside | None = None,
@@ -267,12 +310,15 @@ class Listener:
         self.horizons = choices.ahead(scored.horizons, period)
         self.common = _Common(session, settings, self.horizons, choices.peers)
         self.work = work or Beside()
-        self._every = SPARSER * scored.every if choices.every is None else choices.every
-        self._samples = samples
-        self._settings = settings
-        self._knows_twin = bool(settings.plant.typical)
-        """Whether there is a twin by which readings are judged: a typical one, or the first nominal one."""
-        self._lay_out()
+        self._pace = samples_within(
+            SPARSER * scored.every if choices.every is None else choices.every, period
+        )
+        """Samples between two forecasts, besides those at every verdict."""
+        self._farthest = samples_within(self.horizons[-1], period)
+        """Samples within the farthest horizon."""
+        self._stretch = _SettledStretch(period)
+        self._waiting: deque[tuple[int, _Outlooks]] = deque()
+        """Outlooks, and the samples that they are from, until the samples have come that are forecast."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
         self.twin: Twin | None = None
@@ -280,22 +326,34 @@ class Listener:
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
-        if not self._knows_twin and any(verdict.chosen for verdict in outcome.verdicts):
-            self._knows_twin = True
-            self._lay_out(outcome.verdicts)
-        if not (outcome.verdicts or sample.index in self.wanted):
-            return
-        for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.law is None):
-            asked = _outlooks(twin)
-            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
-            self.graded[sample.index] = task
+        for settled in outcome.settled:
+            if settled.usable:
+                self._take(settled)
+        is_wanted = bool(outcome.verdicts) or self._stretch.is_regular(self._pace)
+        if is_wanted and self._stretch.last == sample.index:
+            self._waiting.append((sample.index, _outlooks(twin)))
 
-    def _lay_out(self, verdicts: Sequence[Verdict] = ()) -> None:
-        """Settle the samples, with the twin by which readings are judged once these verdicts name it."""
-        self.held = filled_stretches(self._samples, self._settings, verdicts)
-        """The stretches between gaps that are too long to be filled."""
-        self.wanted = frozenset(regular(self.held, self._every))
-        """Samples at which outlooks are recorded, besides those of the verdicts."""
+    def finish(self) -> None:
+        """Give the last forecasts to be graded, by as many samples as have come."""
+        while self._waiting:
+            self._grade_oldest()
+
+    def _take(self, settled: Sample) -> None:
+        """Take a usable sample; forecasts that end here, or with the stretch before, are graded."""
+        if not self._stretch.continued_by(settled):
+            self.finish()
+            self._stretch = _SettledStretch(self.common.settings.period)
+        self._stretch.push(settled)
+        while self._waiting and self._waiting[0][0] + self._farthest <= settled.index:
+            self._grade_oldest()
+
+    def _grade_oldest(self) -> None:
+        """Have the oldest forecasts that wait graded, if the nearest horizon has been reached."""
+        sample, asked = self._waiting.popleft()
+        driven = self.common.settings.law is None
+        for origin in origins([self._stretch.window()], [sample], self.horizons, driven=driven):
+            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
+            self.graded[sample] = task
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether the monitor found a fault of the plant between two samples."""
@@ -382,7 +440,7 @@ def backtest(
     work: Beside | None = None,
 ) -> Backtest:
     """Test the twin on a session with these settings; see `backtest_outputs`."""
-    listener = Listener(session.name, session.samples, terms.settings, choices or Choices(), work)
+    listener = Listener(session.name, terms.settings, choices or Choices(), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     return graded(judgement, listener, watch=part_of(watch, 1, 2))
 
@@ -399,6 +457,7 @@ def graded_outputs(
 
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
+    listener.finish()
     plant = judgement.settings.plant
     period = judgement.settings.period
     results: list[tuple[_Graded, list[float]]] = []
@@ -440,7 +499,7 @@ def graded_outputs(
                 horizons=listener.horizons,
                 confidence=CONFIDENCE,
                 marked=tuple(marked),
-                came=tuple(window.alone(k) for window in listener.held),
+                came=tuple(window.alone(k) for window in judgement.stretches),
                 shown=tuple(forecast.alone(k) for forecast in pictured),
                 notes=tuple(_notes(total, judged, all_marks, spoilt, unasked)),
                 last=judgement.verdicts[-1] if judgement.verdicts else None,

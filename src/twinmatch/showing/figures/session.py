@@ -33,7 +33,7 @@ from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import FloatArray, Sample, Window, point_text, stretches
-from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
+from twinmatch.twin import MatchReport, TwinSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +47,18 @@ _SHOWN = 0.99
 
 
 @styled
-def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
+def draw_session(
+    samples: Sequence[Sample],
+    verdicts: Sequence[Verdict],
+    settings: TwinSettings,
+    settled: Sequence[Window],
+) -> Figure:
     """Output and input of the plant and of the leader's twins, and the residuals with their 95 % band.
 
+    `settled` are the stretches of the samples as the twin took them; its twins are compared with these.
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
-    parts = _compared(samples, verdicts, settings)
+    parts = _compared(settled, verdicts, settings)
     closed = settings.law is not None
     rows = 2
     if parts:
@@ -67,13 +73,13 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
 
 
 def _compared(
-    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings
+    settled: Sequence[Window], verdicts: Sequence[Verdict], settings: TwinSettings
 ) -> Sequence[Comparison]:
-    """The leader's twins beside the plant, in each stretch; none where there is no leader."""
+    """The leader's twins beside the plant, in each settled stretch; none where there is no leader."""
     shown = shown_twin(verdicts[-1] if verdicts else None)
     if shown is None:
         return ()
-    return compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings)
+    return compare(settled, shown.parameters, settings)
 
 
 def _draw_loop(
@@ -268,9 +274,15 @@ def _draw_leader(upper: Axes, control: Axes, parts: Sequence[Comparison], label:
 
 @styled
 def draw_verdict(
-    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
+    samples: Sequence[Sample],
+    verdicts: Sequence[Verdict],
+    settings: TwinSettings,
+    settled: Sequence[Window],
+    path: Path,
 ) -> None:
     """Plant and leading twin, trust over time, the criteria and the ν-gap matrix, on one page.
+
+    `settled` are the stretches of the samples as the twin took them.
 
     Raises:
         TwinmatchError: matplotlib cannot write such a file there.
@@ -285,7 +297,7 @@ def draw_verdict(
         signal_axes.sharex(trust)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = _compared(samples, verdicts, settings)
+    parts = _compared(settled, verdicts, settings)
     windows = stretches(samples, settings.period)
     closed = settings.law is not None
     for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
