@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from twinmatch.dynamics import Drive, Output
 from twinmatch.dynamics.pace import time_scale
@@ -192,7 +195,7 @@ class Ahead(NamedTuple):
     """Set-points, or inputs where the loop is not known, ahead of one sample."""
 
     values: FloatArray
-    """From the next sample on, shape (N,)."""
+    """From the next sample on, shape (N,); of several, shape (N, r)."""
     words: str
     """Their description."""
     notes: tuple[str, ...] = ()
@@ -225,35 +228,65 @@ def planned_ahead(
     *,
     settings: TwinSettings,
     reference: str | None,
-    hold: float | None,
+    hold: Sequence[float],
     rows: list[str] | None,
 ) -> Ahead:
     """The set-points, or inputs, planned for the `size` samples after this one.
 
-    `reference` names a file of set-points, whose lines are `rows`; `hold` is a value to hold. Without both,
-    that of the sample is held.
+    `reference` names a file of set-points, whose lines are `rows`; `hold` are values to hold, one for each
+    set-point or input. Without both, those of the sample are held.
 
     Raises:
         TwinmatchError: the plant does not take a set-point or input, or a profile cannot be read.
     """
     closed = settings.law is not None
-    signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
-    kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
-    unit = f" {signal.unit}".rstrip()
-    place = "--hold"
-    profile = SetPoints.constant(standing)
-    words = f"its {kind} of {standing:g}{unit} held"
+    plant = settings.plant
+    signals: list[Output | Drive] = [*(plant.outputs if closed else plant.drives).values()]
+    standing = sample.references if closed else sample.inputs
+    kind = _kind_ahead(settings)
+    if rows is not None and reference is not None:
+        if len(standing) > 1:
+            raise ForecastError(
+                f"{reference}: the plant has {len(standing)} {kind}s, and this file has those of one; give "
+                f"--hold once for each of them, or --reference {RECORDED}"
+            )
+        words = f"{kind}s of {Path(reference).name}"
+        profiles = [_checked(reference, lambda: SetPoints.planned(rows, standing[0], signal=signals[0]))]
+    elif hold:
+        if len(hold) != len(standing):
+            raise ForecastError(
+                f"--hold: {len(hold)} of the plant's {len(standing)} {kind}s; give it once for each of them"
+            )
+        words = f"{_levels_text(hold, signals)} held"
+        profiles = []
+        for level, signal in zip(hold, signals, strict=False):
+            profiles.append(_checked("--hold", partial(SetPoints.constant, level, signal)))
+    else:
+        several = "s" if len(standing) > 1 else ""
+        words = f"its {kind}{several} of {_levels_text(standing, signals)} held"
+        profiles = [_checked("--hold", partial(SetPoints.constant, level)) for level in standing]
+    notes = [note for profile in profiles for note in profile.notes]
+    return Ahead(_beside_each_other(profiles, settings.period, size), words, tuple(notes))
+
+
+def _checked(place: str, make: Callable[[], SetPoints]) -> SetPoints:
+    """A profile; `place` is named if it is not one."""
     try:
-        if rows is not None and reference is not None:
-            place = reference
-            words = f"{kind}s of {Path(reference).name}"
-            profile = SetPoints.planned(rows, standing, signal=signal)
-        elif hold is not None:
-            profile = SetPoints.constant(hold, signal)
-            words = f"{hold:g}{unit} held"
+        return make()
     except ForecastError as error:
         raise ForecastError(f"{place}: {error}") from error
-    return Ahead(profile.ahead(settings.period, size), words, profile.notes)
+
+
+def _levels_text(levels: Sequence[float], signals: Sequence[Output | Drive]) -> str:
+    """Levels with their units."""
+    texts = [f"{level:g} {signal.unit}".rstrip() for level, signal in zip(levels, signals, strict=False)]
+    return ", ".join(texts)
+
+
+def _beside_each_other(profiles: Sequence[SetPoints], period: float, size: int) -> FloatArray:
+    """The next samples of some profiles, shape (size, profiles); of a single one shape (size,)."""
+    columns = [profile.ahead(period, size) for profile in profiles]
+    return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
 
 def recorded_ahead(
@@ -273,7 +306,7 @@ def recorded_ahead(
     if stretch is None:  # the sample itself is not usable
         raise _nothing_recorded(session, sample, settings)
     recorded_samples = stretch.part(sample.index, min(sample.index + size, stretch.last))
-    levels = (recorded_samples.reference if closed else recorded_samples.input).tolist()
+    levels = recorded_samples.references if closed else recorded_samples.inputs
     count = len(recorded_samples) - 1
     if not count:
         raise _nothing_recorded(session, sample, settings)
@@ -282,8 +315,8 @@ def recorded_ahead(
         why = "a sample is missing" if stretch.last < session.samples[-1].index else "the session ends"
         notes = (f"shortened to {count * period:g} s: {why} there",)
     rows = recorded_samples.disturbances if sample.disturbances else None
-    ahead = SetPoints.recorded(levels, period).ahead(period, count)
-    return Ahead(ahead, f"the recorded {kind}s", notes, rows)
+    profiles = [SetPoints.recorded(column, period) for column in levels.T]
+    return Ahead(_beside_each_other(profiles, period, count), f"the recorded {kind}s", notes, rows)
 
 
 def check_recorded_ahead(session: Session, samples: Iterable[Sample], settings: TwinSettings) -> None:
