@@ -31,8 +31,13 @@ from twinmatch.offline.outlooks import (
 )
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
-from twinmatch.showing.arrivals import arrival_document, arrival_words
-from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
+from twinmatch.showing.forecasts import (
+    arrival_document,
+    arrival_words,
+    comparison_words,
+    forecast_document,
+    forecast_words,
+)
 from twinmatch.showing.series import Fan, fan
 from twinmatch.twin import TwinSettings
 

@@ -1,10 +1,10 @@
-"""Forecasts and backtests in words, tables and as dictionaries for JSON."""
+"""Forecasts, times of arrival and backtests in words, tables and as dictionaries for JSON."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +14,7 @@ from twinmatch.comparing import ahead_words, statements_of
 from twinmatch.dynamics import Plant, channels
 from twinmatch.forecasting import (
     NEAR,
+    Arrival,
     Band,
     Forecast,
     Moment,
@@ -22,6 +23,7 @@ from twinmatch.forecasting import (
     time_to_reach,
 )
 from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
+from twinmatch.offline.clock_times import clock_words
 from twinmatch.showing.quantities import ShownSignals, number, signal_names
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
@@ -310,3 +312,58 @@ def _trust(backtest: Backtest) -> Iterator[str]:
             forecasts = f"the forecasts of {signal_names(backtest.plant).output}"
         why = f": {trust.doubts}" if trust.doubts else ""
         yield f"At the end {forecasts} pass the test of trust {ahead_words(trust.horizons)}{why}."
+
+
+def arrival_words(answer: Arrival, plant: type[Plant], stamp: int, *, closed: bool) -> list[str]:
+    """The answer in lines; `stamp` is that of the newest sample, ns, and `closed` says whether the loop is
+    known."""
+    unit = plant.output.unit if closed else plant.drive.unit
+    kind = "set-point" if closed else "input"
+    goal = _amount(answer.level, plant.output.unit)
+    held = f"{kind} of {_amount(answer.standing, unit)} held"
+    lines = [f"{goal}: {_when(answer.held, answer.looked, stamp)} with its {held}"]
+    if answer.move != answer.standing:
+        moved = _when(answer.moved, answer.looked, stamp)
+        lines.append(f"{goal}: {moved} with {_amount(answer.move, unit)} from now on")
+    if answer.beginning is None or answer.by is None:
+        return lines
+    target = _time(answer.by, stamp)
+    begin = f"give {_amount(answer.move, unit)}"
+    if answer.beginning.safe is not None and answer.beginning.expected is not None:
+        mean = _time(answer.beginning.expected, stamp)
+        lines.append(
+            f"to be there {target}: {begin} {_time(answer.beginning.safe, stamp)}; {mean} in the mean"
+        )
+    elif answer.beginning.expected is not None:
+        mean = _time(answer.beginning.expected, stamp)
+        lines.append(
+            f"to be there {target}: {begin} at once; {mean} in the mean, but the band may arrive later"
+        )
+    else:
+        lines.append(f"not there {target}, even with {_amount(answer.move, unit)} from now on")
+    return lines
+
+
+def arrival_document(answer: Arrival) -> dict[str, Any]:
+    """All of it for JSON."""
+    return asdict(answer) | {"notes": list(answer.notes)}
+
+
+def _when(moment: Moment, looked: float, stamp: int) -> str:
+    if moment.expected is None:
+        if moment.earliest is None:
+            return f"not within {looked:g} s"
+        soonest = _time(moment.earliest, stamp)
+        return f"not within {looked:g} s by the mean, by the band {soonest} at the earliest"
+    latest = "later" if moment.latest is None else f"{moment.latest:g}"
+    earliest = moment.expected if moment.earliest is None else moment.earliest
+    return f"first {_time(moment.expected, stamp)} ({earliest:g} to {latest} s)"
+
+
+def _time(seconds: float, stamp: int) -> str:
+    clock = clock_words(stamp, seconds)
+    return f"after {seconds:g} s" + (f", at {clock}" if clock else "")
+
+
+def _amount(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".rstrip()
