@@ -221,10 +221,10 @@ def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
     of_roles = [(role, name, forecasts[name]) for role, name in asked.who.items()]
-    if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-        nominal = asked.who[NOMINAL]
+    nominal = asked.who.get(NOMINAL)
+    if nominal is not None and len(origin.past) > SKIPPED + 1:
+        parameters = asked.outlooks[nominal].parameters
         with one_thread():
-            parameters = asked.outlooks[nominal].parameters
             constant = with_constant_band(forecasts[nominal], parameters, origin.past, settings.law)
         of_roles.append((CONSTANT, nominal, constant))
     of_candidates = [(name, name, forecast) for name, forecast in forecasts.items()]
