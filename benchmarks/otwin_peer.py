@@ -368,7 +368,7 @@ def of_twinmatch(of: Recording, session: Session) -> list[Marked]:
     """The marks of our leader's forecasts, of twins driven by the recorded input."""
     terms = terms_from_files(session)
     driven = terms._replace(settings=replace(terms.settings, law=None))
-    tested = backtest(session, driven, Choices(of.every, HORIZONS, ()))
+    (tested,) = backtest(session, driven, Choices(of.every, HORIZONS, ()))
     return [replace(one, who="twinmatch") for one in tested.marked if one.who == "leader"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Forecast, ForecastError
 from twinmatch.offline import judging, outlooks
 from twinmatch.offline.judging import Judgement, Terms, judge_samples
-from twinmatch.offline.outlooks import Prospect, prospects, samples_at
-from twinmatch.plants import Incubator, Peltier
+from twinmatch.offline.outlooks import Prospect, planned_ahead, prospects, recorded_ahead, samples_at
+from twinmatch.plants import Incubator, Peltier, TCLabBoth
 from twinmatch.sessions import Session, read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
@@ -244,3 +245,21 @@ def test_a_plant_without_a_loop_is_not_rehearsed(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(judging, "cache_folder", lambda: tmp_path)
     judging.rehearse(Incubator, TwinSettings(), lambda _done, _total: None)
     assert not list(tmp_path.iterdir())
+
+
+def test_several_inputs_ahead_are_held_given_or_recorded(tmp_path: Path) -> None:
+    settings = TwinSettings.of(TCLabBoth, law=None)
+    samples = [Sample(k, k * 10**9, (0.0, 0.0), (40.0, 35.0), (20.0 + k, 45.0)) for k in range(20)]
+    planned = partial(planned_ahead, samples[9], 3, settings=settings)
+    standing = planned(reference=None, hold=(), rows=None)
+    assert standing.values.tolist() == [[29.0, 45.0]] * 3
+    assert standing.words == "its inputs of 29 %, 45 % held"
+    given = planned(reference=None, hold=(10.0, 80.0), rows=None)
+    assert given.values.tolist() == [[10.0, 80.0]] * 3
+    with pytest.raises(ForecastError, match="--hold: 1 of the plant's 2 inputs; give it once for each"):
+        planned(reference=None, hold=(10.0,), rows=None)
+    with pytest.raises(ForecastError, match=r"ahead.csv: the plant has 2 inputs, and this file has those of"):
+        planned(reference="ahead.csv", hold=(), rows=["0,10"])
+    settled = (Window.from_samples(samples),)
+    recorded = recorded_ahead(stored(samples, tmp_path / "kit"), samples[9], 3, settled, settings)
+    assert recorded.values.tolist() == [[30.0, 45.0], [31.0, 45.0], [32.0, 45.0]]

@@ -4,13 +4,15 @@ settles a stream as the discriminator does."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import twinmatch
 from tests.support import untaught
 from tests.support.untaught import SPIKE, TAUGHT
-from twinmatch.offline.backtest.run import Choices, Listener
+from twinmatch.offline.backtest.run import LEADER, Choices, Listener, graded
 from twinmatch.offline.judging import judge_samples
 from twinmatch.showing.page.state import DashboardState, update_sentence
 from twinmatch.showing.summary import sentence
@@ -65,22 +67,45 @@ def test_the_page_says_what_the_terminal_says() -> None:
 def test_forecasts_are_not_scored_at_a_refused_reading() -> None:
     samples = untaught.spiked()
     settings = untaught.settings()
-    listener = Listener("spiked", samples, settings, Choices())
-    twin = Twin(settings)
-    for sample in samples[: TAUGHT + 1]:
-        listener(twin, sample, twin.push(sample))
-    assert same_windows(listener.held, untaught.judged().stretches)
+    horizon = 21  # forecasts are made at samples 9, 19, and so on: one of them ends at the spike
+    listener = Listener("spiked", settings, Choices(every=10.0, horizons=(float(horizon),)))
+    judgement = judge_samples("spiked", samples, settings, beside=listener)
+    tested = graded(judgement, listener)
+    assert same_windows(tested.came, judgement.stretches)
+    ends = {mark.sample + horizon for mark in tested.marked if mark.who == LEADER}
+    assert {SPIKE - 10, SPIKE + 10} <= ends
+    assert SPIKE not in ends
+    errors = [mark.marks.error for mark in tested.marked if mark.who == LEADER and mark.sample > TAUGHT]
+    assert max(errors) < 10.0, "a spike of 40 °C in between counts nowhere"
 
 
 def test_the_twin_beside_the_plant_is_not_compared_with_a_refused_reading() -> None:
     judgement = untaught.judged()
     settings = untaught.settings()
-    mirror = Mirror(settings.start, None, period=1.0, gap=settings.schedule.gap, health=settings.health)
+    mirror = Mirror(settings.start, None, period=1.0)
     assert judgement.summary.parameters is not None
     mirror.parameters = judgement.summary.parameters
-    states = [mirror.push(sample) for sample in untaught.spiked()[: SPIKE + 1]]
+    twin = Twin(settings)
+    settled = [kept for sample in untaught.spiked()[: SPIKE + 1] for kept in twin.push(sample).settled]
+    states = [mirror.push(sample) for sample in settled]
     assert (states[-1].sample.seen, states[-1].sample.refused) == (
         False,
         (untaught.clean()[SPIKE].output + 40.0,),
     )
     assert states[-1].driven_rms_y == states[-2].driven_rms_y
+
+
+WITHOUT_ENGINE = {"launching/live.py", "launching/replay.py", "nodes/twin.py", "showing/page/state.py"}
+"""Modules of processes that only receive samples, verdicts and leaders."""
+
+
+def test_where_a_twin_runs_its_answer_is_taken() -> None:
+    """Nothing else settles samples: two doors beside each other may differ."""
+    folder = Path(twinmatch.__file__).parent
+    settling = set()
+    for path in folder.rglob("*.py"):
+        text = path.read_text()
+        if any(name in text for name in ("Door", "Settling", "filled_stretches(", "GapFiller", "Refusals(")):
+            settling.add(str(path.relative_to(folder)))
+    rooms = {module for module in settling if not module.startswith(("twin/", "health/"))}
+    assert rooms == WITHOUT_ENGINE

@@ -19,13 +19,13 @@ from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.summary import summarise
-from twinmatch.plants import PLANTS, Peltier
+from twinmatch.plants import PLANTS, Peltier, TCLabBoth
 from twinmatch.sessions import samples_of
 from twinmatch.showing.family import Member, criterion_rows, family
 from twinmatch.showing.figures.drawing import png
 from twinmatch.showing.figures.family import draw_criteria, draw_matrix, draw_responses, draw_uncertainty
 from twinmatch.showing.figures.forecasts import draw_forecasts
-from twinmatch.showing.forecasts import comparison_words, forecast_words
+from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.quantities import in_order, number, parameter_format
 from twinmatch.showing.series import Fan, compare, fan, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
@@ -295,6 +295,42 @@ def test_nothing_recorded_behind_it_is_nothing_to_say_and_what_was_known_ends_at
     assert comparison_words(unmeasured, Peltier) == []
     assert draw_forecasts([unmeasured], Peltier).axes
     assert around(reference=[60.0] * 30, missing=8).past.first == 9
+
+
+def test_of_several_outputs_each_is_compared_while_all_inputs_are_as_assumed() -> None:
+    """The second heater moves at sample 15: what both temperatures do from then on was not forecast."""
+    ten = np.arange(1.0, 11.0)
+
+    def flat(level: float) -> Band:
+        return Band(np.full(10, level), np.full(10, level - 1.0), np.full(10, level + 1.0))
+
+    made_forecast = Forecast(
+        sample=10,
+        candidate="both",
+        structure="lumped",
+        confidence=0.9,
+        time=ten,
+        references=np.full((10, 2), np.nan),
+        outputs=(flat(50.0), flat(40.0)),
+        inputs=(flat(30.0), flat(20.0)),
+    )
+    samples = [
+        Sample(k, k * 10**9, (0.0, 0.0), (50.5, 43.0), (30.0, 20.0 if k < 15 else 60.0)) for k in range(30)
+    ]
+    compared = fan(made_forecast, stretches(samples, 1.0))
+    assert compared.judged == compared.alone(0).judged == 4
+    assert compared.alone(0).error.tolist() == [0.5] * 4
+    assert compared.alone(1).in_band[0].tolist() == [0.0] * 4
+    settings = TwinSettings.of(TCLabBoth, law=None)
+    ends = [line for line in forecast_words(made_forecast, settings) if "after 10 s" in line]
+    assert [line.split(" after")[0] for line in ends] == ["temperature T1", "temperature T2"]
+    first, second = comparison_words(compared, TCLabBoth)
+    assert "100 % of the temperature T1" in first
+    assert "0 % of the temperature T2" in second
+    document_of_both = forecast_document(made_forecast, TCLabBoth)
+    assert [band["mean"][0] for band in document_of_both["y"]] == [50.0, 40.0]
+    assert [band["mean"][0] for band in document_of_both["u"]] == [30.0, 20.0]
+    assert document_of_both["reference"] is None
 
 
 def words(output: Sequence[float], reference: Sequence[float]) -> str:

@@ -467,7 +467,7 @@ def test_the_document_is_strict_json() -> None:
 def test_the_figure_is_drawn_of_a_session_with_gaps_too(tmp_path: Path) -> None:
     broken = samples()[:100] + samples()[150:]
     path = tmp_path / "verdict.pdf"
-    draw_verdict(broken, MATCHED, TwinSettings(), path)
+    draw_verdict(broken, MATCHED, TwinSettings(), stretches(broken, 1.0), path)
     assert path.stat().st_size > 5000
     summary = summarise(stretches(broken, 1.0), MATCHED, GAINS)
     assert math.isfinite(summary.fit_y)
@@ -476,4 +476,4 @@ def test_the_figure_is_drawn_of_a_session_with_gaps_too(tmp_path: Path) -> None:
 
 def test_a_figure_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
     with pytest.raises(TwinmatchError, match="cannot be written"):
-        draw_verdict(samples(), [], TwinSettings(), tmp_path / "verdict.docx")
+        draw_verdict(samples(), [], TwinSettings(), [], tmp_path / "verdict.docx")

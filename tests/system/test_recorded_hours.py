@@ -128,7 +128,7 @@ def hour(recordings: dict[int, Path]) -> Callable[[int], Hour]:
             pytest.skip(f"recording {number} is not among those present")
         session = open_any(recordings[number])
         samples = list(session.samples)
-        measured_hour = Hour(samples, Listener(session.name, samples, SETTINGS, BACKTESTED))
+        measured_hour = Hour(samples, Listener(session.name, SETTINGS, BACKTESTED))
         measured_hour.judgement = judge(session, terms_from_files(session), beside=measured_hour.listen)
         return measured_hour
 

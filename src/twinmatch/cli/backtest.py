@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from twinmatch.cli.shared import (
     TERMS,
@@ -24,9 +24,7 @@ from twinmatch.offline.archive import find_sessions
 from twinmatch.offline.backtest import Choices, backtest_outputs
 from twinmatch.offline.backtest.scoring import Backtest, document, over_all
 from twinmatch.showing.forecasts import backtest_tables, backtest_words
-
-if TYPE_CHECKING:
-    from twinmatch.offline.channels import ChannelHealth
+from twinmatch.showing.summary import fault_words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,39 +61,29 @@ def run(options: argparse.Namespace) -> int:
     totals = _totals(tests)
     for total in totals if len(tests) > len(totals) else ():
         _print(total)
-    channel_tests = list(dict.fromkeys(test.health for test in tests if test.health))
-    write_json(options.json, lambda: _document(tests, totals, channel_tests))
+    write_json(options.json, lambda: _document(tests, totals))
     if options.figure is not None:
-        _draw(totals, channel_tests, options.figure)
+        _draw(totals, options.figure)
     return exit_code(tested, len(sessions) - tested)
 
 
-def _document(
-    tests: Sequence[Backtest], totals: Sequence[Backtest], channel_tests: Sequence[ChannelHealth]
-) -> dict[str, Any]:
+def _document(tests: Sequence[Backtest], totals: Sequence[Backtest]) -> dict[str, Any]:
     """What is written to the file of `--json`."""
     of_totals = [document(total, forecasts=False) for total in totals]
-    tree: dict[str, Any] = {
+    return {
         "sessions": [document(test) for test in tests],
         "total": of_totals[0] if len(of_totals) == 1 else of_totals,
     }
-    if channel_tests:
-        tree["health"] = [channel_test.document() for channel_test in channel_tests]
-    return tree
 
 
-def _draw(totals: Sequence[Backtest], channel_tests: Sequence[ChannelHealth], figure: Path) -> None:
-    """Draw the scores of every output and of the channels, each into a file of its own beside `figure`."""
-    from twinmatch.showing.figures.channels import draw_channels  # noqa: PLC0415
+def _draw(totals: Sequence[Backtest], figure: Path) -> None:
+    """Draw the scores of every output, each into a file of its own beside `figure`."""
     from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
     from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
     for number, total in enumerate(totals):
         ending = f"_{next(iter(total.plant.outputs))}" if number else ""
         save(draw_backtest(total), figure.with_stem(figure.stem + ending))
-    for number, channel_test in enumerate(channel_tests):
-        ending = f"_health_{number + 1}" if len(channel_tests) > 1 else "_health"
-        save(draw_channels(channel_test), figure.with_stem(figure.stem + ending))
 
 
 def _totals(tests: Sequence[Backtest]) -> list[Backtest]:
@@ -116,7 +104,8 @@ def _tested(path: Path, options: argparse.Namespace) -> tuple[Backtest, ...]:
         tests = backtest_outputs(path, choices, second=True, **judging(options, progress))
     for tested in tests:
         _print(tested)
-    for line in tests[0].health.lines() if tests[0].health else ():
+    summary = tests[0].summary
+    if summary is not None and (line := fault_words(summary)):
         print(line)
     return tests
 

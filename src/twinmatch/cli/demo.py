@@ -76,7 +76,8 @@ def _look_back(session: Path) -> int:
     picture = session.with_suffix(".png")
     report = session.with_suffix(".html")
     judgement = judged.judgement
-    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, picture)
+    settled = judgement.stretches
+    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, settled, picture)
     build_report(judged, session, command="twinmatch demo").write(report)
     print(f"picture: {_shorter(picture)}")
     print(f"report: {_shorter(report)}")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.dynamics import Plant, channels
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import MAX_SAMPLES, ArrivalQuestion, arrival
@@ -17,20 +18,28 @@ from twinmatch.offline.judging import Terms, terms_from_files
 from twinmatch.offline.outlooks import (
     LONGEST,
     RECORDED,
+    Ahead,
     Prospect,
-    ahead_of,
+    check_recorded_ahead,
     forecast_of,
+    planned_ahead,
     planned_rows,
     prospects,
+    recorded_ahead,
     samples_ahead,
     samples_at,
 )
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
-from twinmatch.showing.arrivals import arrival_document, arrival_words
-from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
+from twinmatch.showing.forecasts import (
+    arrival_document,
+    arrival_words,
+    comparison_words,
+    forecast_document,
+    forecast_words,
+)
 from twinmatch.showing.series import Fan, fan
-from twinmatch.twin import TwinSettings, filled_stretches
+from twinmatch.twin import TwinSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--by", metavar="TIME", help=by)
     ahead = "set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session"
     parser.add_argument("--reference", metavar="FILE|recorded", help=ahead)
-    parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
+    held = "set-point to hold ahead; give it once for each set-point of the plant, in its order"
+    parser.add_argument("--hold", type=float, action="append", metavar="VALUE", help=held)
     parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
     whole = "give the twin all samples of the session, not only the last windows before the first SAMPLE"
     parser.add_argument("--from-the-beginning", action="store_true", help=whole)
@@ -86,19 +96,29 @@ def run(options: argparse.Namespace) -> int:
     forecasts = [forecast.fan.forecast for forecast in requested]
     reason = "its forecasts have saved the most characters so far"
     print(f"The leader is the candidate to forecast with: {reason}.")
-    write_json(options.json, lambda: [forecast_document(forecast) for forecast in forecasts])
+    write_json(options.json, lambda: [forecast_document(forecast, settings.plant) for forecast in forecasts])
     if options.figure is not None:
-        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
-        from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
-
-        save(draw_forecasts(tuple(forecast.fan for forecast in requested), settings.plant), options.figure)
+        _draw([forecast.fan for forecast in requested], settings.plant, options.figure)
     return 0
+
+
+def _draw(fans: Sequence[Fan], plant: type[Plant], figure: Path) -> None:
+    """Draw the forecasts of every output, each into a file of its own beside `figure`."""
+    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+    from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
+
+    for k, alone in enumerate(channels(plant)):
+        ending = f"_{next(iter(alone.outputs))}" if k else ""
+        save(draw_forecasts([fan.alone(k) for fan in fans], alone), figure.with_stem(figure.stem + ending))
 
 
 def _arrivals(options: argparse.Namespace) -> int:
     """When the output is at a level, from each sample, and when to begin; returns the exit code."""
     if options.reference is not None or options.horizon is not None or options.figure is not None:
         options.parser.error("--reach takes --hold, --by, --at, --candidate and --json")
+    if options.hold is not None and len(options.hold) > 1:
+        options.parser.error("--reach takes --hold once: it is for a plant with one output")
+    hold = None if options.hold is None else options.hold[0]
     documents = []
     with held_interrupts():
         session = open_shown(options.session, options.plant)
@@ -112,7 +132,7 @@ def _arrivals(options: argparse.Namespace) -> int:
             by = None if options.by is None else seconds_until(options.by, stamp)
             outlook = by_sample[index].outlook
             longest = samples_ahead(LONGEST * time_scale(settings.period), settings) if by else MAX_SAMPLES
-            answer = arrival(outlook, ArrivalQuestion(options.reach, by, options.hold, longest=longest))
+            answer = arrival(outlook, ArrivalQuestion(options.reach, by, hold, longest=longest))
             print(f"From sample {index}, {outlook.candidate}:")
             for line in arrival_words(answer, settings.plant, stamp, closed=outlook.closed):
                 print(f"  {line}")
@@ -166,26 +186,28 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     period = terms.settings.period
     size = samples_ahead(options.horizon, settings)
     samples = samples_at(session, options.at)
-    ahead = {}
-    for index, sample in samples.items():
-        ahead[index] = ahead_of(
-            session,
-            sample,
-            size,
-            settings=settings,
-            reference=options.reference,
-            hold=options.hold,
-            rows=rows,
-        )
+    planned: dict[int, Ahead] = {}
+    if options.reference == RECORDED:
+        check_recorded_ahead(session, samples.values(), settings)
+    else:
+        for index, sample in samples.items():
+            planned[index] = planned_ahead(
+                sample,
+                size,
+                settings=settings,
+                reference=options.reference,
+                hold=options.hold or (),
+                rows=rows,
+            )
     by_sample = _prospects(options, session, terms, samples)
-    last = by_sample[max(samples)]
-    taught_samples = [s for s in session.samples if last.since is None or s.index >= last.since]
-    measured = filled_stretches(taught_samples, settings, last.taught)
     requested = {}
-    for index in samples:
-        forecast = forecast_of(by_sample[index], ahead[index], period)
+    for index, sample in samples.items():
+        prospect = by_sample[index]
+        settled = prospect.stretches
+        ahead = planned.get(index) or recorded_ahead(session, sample, size, settled, settings)
+        forecast = forecast_of(prospect, ahead, period)
         forecast = replace(forecast, notes=(*session.missing, *forecast.notes))
-        requested[index] = _Requested(fan(forecast, measured), by_sample[index], ahead[index].words)
+        requested[index] = _Requested(fan(forecast, settled), prospect, ahead.words)
     return settings, [requested[index] for index in options.at]
 
 

@@ -94,7 +94,8 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     if options.figure is not None:
         from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow
 
-        draw_verdict(judgement.samples, verdicts, judgement.settings, options.figure)
+        settled = judgement.stretches
+        draw_verdict(judgement.samples, verdicts, judgement.settings, settled, options.figure)
 
 
 @contextmanager

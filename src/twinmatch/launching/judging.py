@@ -48,9 +48,7 @@ class Judging(Background):
             settings.start,
             settings.law,
             period=settings.period,
-            gap=settings.schedule.gap,
             scale=settings.forecasts.scale,
-            health=settings.health,
         )
         super().__init__("twin", self._run, self.LEAVE)
         self.start()
@@ -76,7 +74,8 @@ class Judging(Background):
         mirror = None
         forecast = None
         with without_what_fails("a sample could not be shown", self._twin.discriminator.defects):
-            mirror = self._mirror.push(sample)
+            for settled in outcome.settled:
+                mirror = self._mirror.push(settled)
             forecast = self._forecast()
         return Judged(sample, outcome, stamps, mirror, forecast)
 

@@ -80,13 +80,19 @@ def _remembered(lessons: Sequence[Lesson], model: Model) -> list[Candidate]:
     central = Candidate(CENTRE, float(np.median(levels)), model.parameters(**base), None, free, covariance)
     places = _apart((values - centre) / spread)
     twins = []
-    names = [f"session {lessons[k].name}" for k in places]
-    for number, (k, name) in enumerate(zip(places, names, strict=True)):
-        earlier = names[:number].count(name)  # sessions may have one name
-        title = f"{name} ({earlier + 1})" if earlier else name
+    for k, title in zip(places, _titles([lessons[k].name for k in places]), strict=True):
         parameters = model.parameters(**lessons[k].parameters)
         twins.append(Candidate(title, levels[k], parameters, None, free, covariance))
     return [central, *twins]
+
+
+def _titles(sessions: Sequence[str]) -> list[str]:
+    """A title for the twin of each of these sessions, several of which may have one name."""
+    titles = []
+    for number, name in enumerate(sessions):
+        earlier = sessions[:number].count(name)
+        titles.append(f"session {name} ({earlier + 1})" if earlier else f"session {name}")
+    return titles
 
 
 def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArray:

@@ -11,7 +11,7 @@ from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.parameters.candidates import candidates_in
 from twinmatch.plants.records import description_of
 from twinmatch.signals import Sample
-from twinmatch.twin import Mirror, carry_out
+from twinmatch.twin import Door, Mirror, carry_out
 from twinmatch_msgs.msg import ForecastScore, Match, MatchRequest, PlantDescription, TwinState
 from twinmatch_msgs.srv import Past
 
@@ -32,10 +32,9 @@ class TwinSimulatorNode(SampleNode):
             self.settings.law,
             self.values["recent"],
             self.settings.period,
-            self.settings.schedule.gap,
             scale=self.settings.forecasts.scale,
-            health=self.settings.health,
         )
+        self._door = Door.of(self.settings)
         self._leader = ""
         self._states_made = 0
         self._published_before = 0  # states published before this node started
@@ -55,15 +54,23 @@ class TwinSimulatorNode(SampleNode):
     def work(self, received: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(received, Sample):
-            state = self._mirror.push(received)
-            self._states_made += 1
-            if self._states_made > self._published_before:
-                message = state_message(state, self._leader, self.settings.plant.states)
-                self.publish(self._publisher, message)
+            self._mirror_sample(received)
             return
         self._mirror.parameters = received.parameters
+        self._door.know(received.parameters)
         self._leader = received.name
         self.health.set("leader", received.name)
+
+    def _mirror_sample(self, sample: Sample) -> None:
+        """Publish the state of the twins at a sample; those lost before it have stand-ins."""
+        *stand_ins, settled = self._door.take(sample)
+        for stand_in in stand_ins:
+            self._mirror.push(stand_in)
+        state = self._mirror.push(settled)
+        self._states_made += 1
+        if self._states_made > self._published_before:
+            message = state_message(state, self._leader, self.settings.plant.states)
+            self.publish(self._publisher, message)
 
 
 MAX_WAITING = 20

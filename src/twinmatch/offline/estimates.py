@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 from twinmatch.dynamics import Plant
 from twinmatch.health import EstimatedReading
 from twinmatch.health.faults import HOUR
-from twinmatch.record import finite
 
 
 @dataclass(eq=False)
@@ -34,11 +32,6 @@ class EstimatedCourse:
     def last(self) -> int:
         """Last sample."""
         return self.first + len(self.values) - 1
-
-    def document(self) -> dict[str, Any]:
-        """All of it, for JSON."""
-        fields = ("signal", "unit", "first", "wide", "good", "values", "bands")
-        return {name: finite(getattr(self, name)) for name in fields}
 
     def line(self, period: float) -> str:
         """When it was read through, what it should read in the end, and for how long that was good."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from twinmatch.comparing import Verdict
+import numpy as np
+
 from twinmatch.dynamics import Drive, Output
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -17,8 +20,8 @@ from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
-from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import Twin, TwinSettings, filled_stretches
+from twinmatch.signals import FloatArray, Sample, Window, stretches
+from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.forecaster import Forecaster
 
 LONGEST: Final = 86_400.0
@@ -41,10 +44,11 @@ class Prospect(NamedTuple):
     leader: str
     leader_confidence: float
     """How often so far the leader's error was within 3 % of the best candidate's, 0 to 1."""
-    taught: tuple[Verdict, ...]
-    """The first verdict with a nominal candidate, if there was one, by which readings are settled."""
     since: int | None = None
     """The first sample that the twin took; None: that of the session."""
+    stretches: tuple[Window, ...] = ()
+    """The samples from there to the end of the session, as the twin settled them; those that it has not
+    taken, as its door would."""
 
     @property
     def leads(self) -> bool:
@@ -104,7 +108,7 @@ def _run(
     candidate at the one in the `middle`, or not the one asked for at a wanted sample."""
     samples = session.samples
     prospect_of = {}
-    taught: tuple[Verdict, ...] = ()
+    settled: list[Sample] = []
     begin = places.start
     ends = places.stop
     may_begin_earlier = begin > 0
@@ -113,8 +117,7 @@ def _run(
     with held_interrupts() as check_interrupt:
         for place in places:
             sample = samples[place]
-            with_nominal = [verdict for verdict in twin.push(sample).verdicts if verdict.chosen is not None]
-            taught = taught or tuple(with_nominal[:1])
+            settled += twin.push(sample).settled
             forecaster = twin.discriminator.forecaster
             has_wanted_one = bool(forecaster.names) and candidate in {None, *forecaster.names}
             if may_begin_earlier and place == middle and not forecaster.names:
@@ -124,11 +127,13 @@ def _run(
                     return None
                 if not forecaster.names:
                     raise _no_candidate(session.name, twin, samples[place:])
-                prospect_of[sample.index] = _prospect(forecaster, sample.index, candidate, taught, since)
+                prospect_of[sample.index] = _prospect(forecaster, sample.index, candidate, since)
             if watch is not None and (place - begin) % EVERY == 0:
                 watch(place - begin, ends - begin)
             check_interrupt()
-    return prospect_of
+    settled += twin.discriminator.settle_rest(samples[ends:])
+    without_gaps = stretches([sample for sample in settled if sample.usable], terms.settings.period)
+    return {index: prospect._replace(stretches=without_gaps) for index, prospect in prospect_of.items()}
 
 
 def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
@@ -151,13 +156,7 @@ def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
     return by_index
 
 
-def _prospect(
-    forecaster: Forecaster,
-    sample: int,
-    candidate: str | None,
-    taught: tuple[Verdict, ...],
-    since: int | None,
-) -> Prospect:
+def _prospect(forecaster: Forecaster, sample: int, candidate: str | None, since: int | None) -> Prospect:
     leader = forecaster.leader
     assert leader is not None  # noqa: S101 — there are candidates
     name = leader if candidate is None else candidate
@@ -174,7 +173,7 @@ def _prospect(
     if since is not None:
         note = f"the twin took only the samples from {since} on; --from-the-beginning gives it all of them"
         outlook = replace(outlook, notes=(*outlook.notes, note))
-    return Prospect(outlook, leader, forecaster.confidence, taught, since)
+    return Prospect(outlook, leader, forecaster.confidence, since)
 
 
 def _no_candidate(session: str, twin: Twin, remaining: Sequence[Sample]) -> ForecastError:
@@ -196,7 +195,7 @@ class Ahead(NamedTuple):
     """Set-points, or inputs where the loop is not known, ahead of one sample."""
 
     values: FloatArray
-    """From the next sample on, shape (N,)."""
+    """From the next sample on, shape (N,); of several, shape (N, r)."""
     words: str
     """Their description."""
     notes: tuple[str, ...] = ()
@@ -223,71 +222,126 @@ def planned_rows(path: Path) -> list[str]:
         ) from None
 
 
-def ahead_of(
-    session: Session,
+def planned_ahead(
     sample: Sample,
     size: int,
     *,
     settings: TwinSettings,
     reference: str | None,
-    hold: float | None,
+    hold: Sequence[float],
     rows: list[str] | None,
 ) -> Ahead:
-    """The set-points, or inputs, of the `size` samples after this one, or of as many as were recorded.
+    """The set-points, or inputs, planned for the `size` samples after this one.
 
-    `reference` names a file of set-points, whose lines are `rows`, or is `RECORDED`; `hold` is a value to
-    hold. Without both, that of the sample is held.
+    `reference` names a file of set-points, whose lines are `rows`; `hold` are values to hold, one for each
+    set-point or input. Without both, those of the sample are held.
 
     Raises:
-        TwinmatchError: the plant does not take a set-point or input, a profile cannot be read, or nothing
-            was recorded after the sample.
+        TwinmatchError: the plant does not take a set-point or input, or a profile cannot be read.
     """
-    if reference == RECORDED:
-        return _recorded(session, sample, size, settings)
     closed = settings.law is not None
-    signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
-    kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
-    unit = f" {signal.unit}".rstrip()
-    place = "--hold"
-    profile = SetPoints.constant(standing)
-    words = f"its {kind} of {standing:g}{unit} held"
+    plant = settings.plant
+    signals: list[Output | Drive] = [*(plant.outputs if closed else plant.drives).values()]
+    standing = sample.references if closed else sample.inputs
+    kind = _kind_ahead(settings)
+    if rows is not None and reference is not None:
+        if len(standing) > 1:
+            raise ForecastError(
+                f"{reference}: the plant has {len(standing)} {kind}s, and this file has those of one; give "
+                f"--hold once for each of them, or --reference {RECORDED}"
+            )
+        words = f"{kind}s of {Path(reference).name}"
+        profiles = [_checked(reference, lambda: SetPoints.planned(rows, standing[0], signal=signals[0]))]
+    elif hold:
+        if len(hold) != len(standing):
+            raise ForecastError(
+                f"--hold: {len(hold)} of the plant's {len(standing)} {kind}s; give it once for each of them"
+            )
+        words = f"{_levels_text(hold, signals)} held"
+        profiles = []
+        for level, signal in zip(hold, signals, strict=False):
+            profiles.append(_checked("--hold", partial(SetPoints.constant, level, signal)))
+    else:
+        several = "s" if len(standing) > 1 else ""
+        words = f"its {kind}{several} of {_levels_text(standing, signals)} held"
+        profiles = [_checked("--hold", partial(SetPoints.constant, level)) for level in standing]
+    notes = [note for profile in profiles for note in profile.notes]
+    return Ahead(_beside_each_other(profiles, settings.period, size), words, tuple(notes))
+
+
+def _checked(place: str, make: Callable[[], SetPoints]) -> SetPoints:
+    """A profile; `place` is named if it is not one."""
     try:
-        if rows is not None and reference is not None:
-            place = reference
-            words = f"{kind}s of {Path(reference).name}"
-            profile = SetPoints.planned(rows, standing, signal=signal)
-        elif hold is not None:
-            profile = SetPoints.constant(hold, signal)
-            words = f"{hold:g}{unit} held"
+        return make()
     except ForecastError as error:
         raise ForecastError(f"{place}: {error}") from error
-    return Ahead(profile.ahead(settings.period, size), words, profile.notes)
 
 
-def _recorded(session: Session, sample: Sample, size: int, settings: TwinSettings) -> Ahead:
+def _levels_text(levels: Sequence[float], signals: Sequence[Output | Drive]) -> str:
+    """Levels with their units."""
+    texts = [f"{level:g} {signal.unit}".rstrip() for level, signal in zip(levels, signals, strict=False)]
+    return ", ".join(texts)
+
+
+def _beside_each_other(profiles: Sequence[SetPoints], period: float, size: int) -> FloatArray:
+    """The next samples of some profiles, shape (size, profiles); of a single one shape (size,)."""
+    columns = [profile.ahead(period, size) for profile in profiles]
+    return columns[0] if len(columns) == 1 else np.column_stack(columns)
+
+
+def recorded_ahead(
+    session: Session, sample: Sample, size: int, settled: Sequence[Window], settings: TwinSettings
+) -> Ahead:
+    """The set-points, or inputs, recorded for the `size` samples after this one, or for as many as there are.
+
+    `settled` are the stretches of the session, as the twin settled its samples.
+
+    Raises:
+        TwinmatchError: nothing was recorded right after the sample.
+    """
     period = settings.period
     closed = settings.law is not None
-    kind = "set-point" if closed else "input"
-    stretch = next(
-        part
-        for part in filled_stretches(session.samples, settings)
-        if part.first <= sample.index <= part.last
-    )
+    kind = _kind_ahead(settings)
+    stretch = next((part for part in settled if part.first <= sample.index <= part.last), None)
+    if stretch is None:  # the sample itself is not usable
+        raise _nothing_recorded(session, sample, settings)
     recorded_samples = stretch.part(sample.index, min(sample.index + size, stretch.last))
-    levels = (recorded_samples.reference if closed else recorded_samples.input).tolist()
+    levels = recorded_samples.references if closed else recorded_samples.inputs
     count = len(recorded_samples) - 1
     if not count:
-        raise TwinmatchError(
-            f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
-            f"{kind} ahead is known; choose an earlier sample, or give --hold"
-        )
+        raise _nothing_recorded(session, sample, settings)
     notes: tuple[str, ...] = ()
     if count < size:
         why = "a sample is missing" if stretch.last < session.samples[-1].index else "the session ends"
         notes = (f"shortened to {count * period:g} s: {why} there",)
     rows = recorded_samples.disturbances if sample.disturbances else None
-    ahead = SetPoints.recorded(levels, period).ahead(period, count)
-    return Ahead(ahead, f"the recorded {kind}s", notes, rows)
+    profiles = [SetPoints.recorded(column, period) for column in levels.T]
+    return Ahead(_beside_each_other(profiles, period, count), f"the recorded {kind}s", notes, rows)
+
+
+def check_recorded_ahead(session: Session, samples: Iterable[Sample], settings: TwinSettings) -> None:
+    """Check, before the session is judged, that something was recorded after each of these samples.
+
+    Raises:
+        TwinmatchError: nothing was recorded right after one of them.
+    """
+    following = {before.index: after.index for before, after in pairwise(session.samples)}
+    for sample in samples:
+        next_index = following.get(sample.index)
+        if next_index is None or next_index - sample.index > settings.schedule.gap + 1:
+            raise _nothing_recorded(session, sample, settings)
+
+
+def _nothing_recorded(session: Session, sample: Sample, settings: TwinSettings) -> TwinmatchError:
+    return TwinmatchError(
+        f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
+        f"{_kind_ahead(settings)} ahead is known; choose an earlier sample, or give --hold"
+    )
+
+
+def _kind_ahead(settings: TwinSettings) -> str:
+    """The kind of signal that is known ahead, in words."""
+    return "input" if settings.law is None else "set-point"
 
 
 def samples_ahead(horizon: float | None, settings: TwinSettings) -> int:

@@ -1,19 +1,20 @@
-"""Forecasts and backtests in words, tables and as dictionaries for JSON."""
+"""Forecasts, times of arrival and backtests in words, tables and as dictionaries for JSON."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from twinmatch.comparing import ahead_words, statements_of
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Plant, channels
 from twinmatch.forecasting import (
     NEAR,
+    Arrival,
     Band,
     Forecast,
     Moment,
@@ -22,6 +23,7 @@ from twinmatch.forecasting import (
     time_to_reach,
 )
 from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
+from twinmatch.offline.clock_times import clock_words
 from twinmatch.showing.quantities import ShownSignals, number, signal_names
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
@@ -35,26 +37,39 @@ _MAX_LEVELS: Final = 4
 """With more set-points in a row, only the last is described."""
 
 
-def forecast_document(forecast: Forecast) -> dict[str, Any]:
-    """A forecast with its bands, sample by sample; every value is a string, number, list or dictionary."""
+def forecast_document(forecast: Forecast, plant: type[Plant]) -> dict[str, Any]:
+    """A forecast with its bands, sample by sample; every value is a string, number, list or dictionary.
+
+    Of a plant with several outputs or inputs, bands and set-points are lists in the order of the plant file.
+    """
+    references = forecast.references.T.tolist()
+    outputs = [_band(band) for band in forecast.outputs]
+    inputs = [_band(band) for band in forecast.inputs]
     return {
         "sample": forecast.sample,
         "candidate": forecast.candidate,
         "structure": forecast.structure,
         "confidence": forecast.confidence,
         "t": forecast.time.tolist(),
-        "y": _band(forecast.output),
-        "u": _band(forecast.input),
-        "reference": forecast.reference.tolist() if forecast.closed else None,
+        "y": outputs[0] if plant.single else outputs,
+        "u": inputs[0] if plant.single else inputs,
+        "reference": (references[0] if plant.single else references) if forecast.closed else None,
         "notes": list(forecast.notes),
     }
 
 
 def forecast_words(forecast: Forecast, settings: TwinSettings) -> list[str]:
-    """The forecast in lines: final output, arrival at each set-point, largest input, widths of the band;
-    for prescribed inputs only final output and widths."""
-    plant = settings.plant
-    widths = _widths(forecast, settings)
+    """The forecast of each output in lines: final output, arrival at each set-point, largest input, widths of
+    the band; for prescribed inputs only final output and widths."""
+    lines = []
+    for k, plant in enumerate(channels(settings.plant)):
+        lines += _words_of_output(forecast.alone(k), plant, settings.forecasts.horizons)
+    return lines
+
+
+def _words_of_output(forecast: Forecast, plant: type[Plant], horizons: Sequence[float]) -> list[str]:
+    """The forecast of a plant's only output in lines."""
+    widths = _widths(forecast, plant, horizons)
     if not forecast.closed:
         return [_end(forecast, plant), widths]
     parts = _parts(forecast)
@@ -79,18 +94,24 @@ def levels_words(forecast: Forecast) -> str:
 
 
 def comparison_words(fan: Fan, plant: type[Plant]) -> list[str]:
-    """How it compares with the measurements, in one line; empty where there are none to compare with."""
+    """How it compares with the measurements, in one line for each output; empty where there are none to
+    compare with."""
     if not fan.judged:
         return []
+    return [_comparison_of_output(fan.alone(k), alone) for k, alone in enumerate(channels(plant))]
+
+
+def _comparison_of_output(fan: Fan, plant: type[Plant]) -> str:
+    """How the forecast of a plant's only output compares with the measurements."""
     signals = signal_names(plant)
     shares = [f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size]
     inside = " and ".join(f"{share} {signal}" for share, signal in zip(shares, signals, strict=False))
     moves = "set-points" if fan.forecast.closed else "inputs"
     condition = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
-    return [
+    return (
         f"compared with the next {fan.judged * fan.past.period:g} s of measurements{condition}: error "
         f"{signals.output.text(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
-    ]
+    )
 
 
 def _band(band: Band) -> dict[str, list[float]]:
@@ -160,8 +181,8 @@ def _largest(forecast: Forecast, plant: type[Plant]) -> str:
     return f"largest {u.name}: {u.text(peak.expected)} after {peak.time:g} s ({least} to {most})"
 
 
-def _widths(forecast: Forecast, settings: TwinSettings) -> str:
-    signals = signal_names(settings.plant)
+def _widths(forecast: Forecast, plant: type[Plant], horizons: Sequence[float]) -> str:
+    signals = signal_names(plant)
     widths = []
 
     def width(k: int) -> str:
@@ -169,7 +190,7 @@ def _widths(forecast: Forecast, settings: TwinSettings) -> str:
         both = f"{signals.output.text(y)} and {signals.input.text(u)}"
         return both if forecast.closed else signals.output.text(y)
 
-    for horizon in settings.forecasts.horizons:
+    for horizon in horizons:
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
             continue
         k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1
@@ -291,3 +312,58 @@ def _trust(backtest: Backtest) -> Iterator[str]:
             forecasts = f"the forecasts of {signal_names(backtest.plant).output}"
         why = f": {trust.doubts}" if trust.doubts else ""
         yield f"At the end {forecasts} pass the test of trust {ahead_words(trust.horizons)}{why}."
+
+
+def arrival_words(answer: Arrival, plant: type[Plant], stamp: int, *, closed: bool) -> list[str]:
+    """The answer in lines; `stamp` is that of the newest sample, ns, and `closed` says whether the loop is
+    known."""
+    unit = plant.output.unit if closed else plant.drive.unit
+    kind = "set-point" if closed else "input"
+    goal = _amount(answer.level, plant.output.unit)
+    held = f"{kind} of {_amount(answer.standing, unit)} held"
+    lines = [f"{goal}: {_when(answer.held, answer.looked, stamp)} with its {held}"]
+    if answer.move != answer.standing:
+        moved = _when(answer.moved, answer.looked, stamp)
+        lines.append(f"{goal}: {moved} with {_amount(answer.move, unit)} from now on")
+    if answer.beginning is None or answer.by is None:
+        return lines
+    target = _time(answer.by, stamp)
+    begin = f"give {_amount(answer.move, unit)}"
+    if answer.beginning.safe is not None and answer.beginning.expected is not None:
+        mean = _time(answer.beginning.expected, stamp)
+        lines.append(
+            f"to be there {target}: {begin} {_time(answer.beginning.safe, stamp)}; {mean} in the mean"
+        )
+    elif answer.beginning.expected is not None:
+        mean = _time(answer.beginning.expected, stamp)
+        lines.append(
+            f"to be there {target}: {begin} at once; {mean} in the mean, but the band may arrive later"
+        )
+    else:
+        lines.append(f"not there {target}, even with {_amount(answer.move, unit)} from now on")
+    return lines
+
+
+def arrival_document(answer: Arrival) -> dict[str, Any]:
+    """All of it for JSON."""
+    return asdict(answer) | {"notes": list(answer.notes)}
+
+
+def _when(moment: Moment, looked: float, stamp: int) -> str:
+    if moment.expected is None:
+        if moment.earliest is None:
+            return f"not within {looked:g} s"
+        soonest = _time(moment.earliest, stamp)
+        return f"not within {looked:g} s by the mean, by the band {soonest} at the earliest"
+    latest = "later" if moment.latest is None else f"{moment.latest:g}"
+    earliest = moment.expected if moment.earliest is None else moment.earliest
+    return f"first {_time(moment.expected, stamp)} ({earliest:g} to {latest} s)"
+
+
+def _time(seconds: float, stamp: int) -> str:
+    clock = clock_words(stamp, seconds)
+    return f"after {seconds:g} s" + (f", at {clock}" if clock else "")
+
+
+def _amount(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".rstrip()

@@ -109,6 +109,11 @@ class Fan:
     """Measurements after it, for as long as set-point (or input) followed the forecast; None if it never
     did."""
 
+    def alone(self, k: int) -> Fan:
+        """Its k-th output and input; of fewer the last."""
+        measured = None if self.measured is None else self.measured.alone(k)
+        return Fan(self.forecast.alone(k), self.past.alone(k), measured)
+
     @property
     def judged(self) -> int:
         """How many of the forecast's samples are compared, including a few that may have been lost."""
@@ -159,13 +164,13 @@ def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     before = max(round(_BEFORE * size), 1)
     whole = next(part for part in stretches if part.first <= origin <= part.last)
     window = whole.part(max(whole.first, origin - before), min(whole.last, origin + size))
-    levels = window.reference
-    assumed_levels = forecast.reference
+    levels = window.references
+    assumed_levels = forecast.references
     if not forecast.closed:
-        levels = window.input
-        assumed_levels = forecast.input.mean
+        levels = window.inputs
+        assumed_levels = np.column_stack([band.mean for band in forecast.inputs])
     ahead = levels[origin + 1 - window.first :]
-    differing = np.flatnonzero(ahead != assumed_levels[: ahead.size])
-    count = int(differing[0]) if differing.size else ahead.size
+    differing = np.flatnonzero((ahead != assumed_levels[: len(ahead)]).any(axis=1))
+    count = int(differing[0]) if differing.size else len(ahead)
     measured = window.part(origin + 1, origin + count) if count else None
     return Fan(forecast, window.part(window.first, origin), measured)

@@ -20,7 +20,7 @@ _POOR: Final = 0.5
 
 def sentence(summary: SessionSummary) -> str:
     """What the session comes down to: whom to trust, how far ahead and where, and the faults."""
-    return " ".join(filter(None, (_judgement(summary), _faults(summary))))
+    return " ".join(filter(None, (_judgement(summary), fault_words(summary))))
 
 
 def _judgement(summary: SessionSummary) -> str:
@@ -86,7 +86,8 @@ def fault_spans(summary: SessionSummary) -> list[str]:
     return spans
 
 
-def _faults(summary: SessionSummary) -> str:
+def fault_words(summary: SessionSummary) -> str:
+    """The newest faults of the session, and when they showed; empty without any."""
     spans = fault_spans(summary)
     older = [f"{len(spans) - MAX_FAULTS} before"] if len(spans) > MAX_FAULTS else []
     return f"Faults: {'; '.join([*older, *spans[-MAX_FAULTS:]])}." if spans else ""

@@ -8,7 +8,7 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
-from twinmatch.twin.door import Settling, filled_stretches
+from twinmatch.twin.door import Door, Settling, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
@@ -20,6 +20,7 @@ from twinmatch.twin.structures import StructureScore, choose_structure
 
 __all__ = [
     "Discriminator",
+    "Door",
     "Fits",
     "ForecastSettings",
     "Forecaster",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
@@ -204,6 +204,10 @@ class Discriminator:
         """
         self._waiting.append(sample)
         return Step((), None) if self._request is not None else self._settle([])
+
+    def settle_rest(self, samples: Iterable[Sample]) -> list[Sample]:
+        """Settle the samples that follow, which nothing else takes: this discriminator ends here."""
+        return [settled for sample in samples for settled in self._door.take(sample)]
 
     def push_match(self, report: MatchReport) -> Step:
         """Take one match; return the verdicts now due, and the next match to request.

@@ -30,9 +30,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.health import HealthSettings
 from twinmatch.signals import FloatArray, OperatingPoint, Sample, Signals, Window, point_of, rms
-from twinmatch.twin.door import Door
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -72,8 +70,8 @@ class Mirror:
 
     New parameters take over without a jump: states that both structures have, and the controller's state, are
     kept. A state that only the new structure has is estimated by an observer with the new parameters from the
-    newest samples: a heat sink may be far from its initial temperature. A gap of more than a few
-    samples restarts both twins from the measured output.
+    newest samples: a heat sink may be far from its initial temperature. A gap in the settled samples restarts
+    both twins from the measured output.
     """
 
     _closed: FloatArray
@@ -86,10 +84,8 @@ class Mirror:
         law: LoopLaw = FROM_PLANT_FILE,
         recent: int = 60,
         period: float = 1.0,
-        gap: int = 0,
         *,
         scale: float = 1.0,
-        health: HealthSettings | None = None,
     ) -> None:
         """Start with these parameters.
 
@@ -98,19 +94,13 @@ class Mirror:
             law: that of the running controller, None if the loop is not known; default: the plant file's.
             recent: samples over which residuals are averaged.
             period: sample time, s; ignored with a controller, which has its own.
-            gap: most samples lost in a row that do not restart the twins.
             scale: factor on the newest stretch over which the states of new parameters are estimated.
-            health: settings with the limits of a reading; default: the plant's.
         """
         self._parameters = parameters
         self._law = law_for(parameters.model.plant, period, law)
         self._period = period if self._law is None else self._law.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
-        plant = parameters.model.plant
-        if health is None and len(plant.outputs) == 1:
-            health = HealthSettings.of(plant, self._period)
-        self._door = Door(self._law, gap, health)
         self._previous: Sample | None = None
         self._samples_followed = 0
 
@@ -129,17 +119,9 @@ class Mirror:
                 absent if self._pid is None else self._transfer_states(self._closed, new, estimated)
             )
         self._parameters = new
-        self._door.know(new)
 
     def push(self, sample: Sample) -> MirrorState:
-        """Take one sample; return the state of the twins at its tick."""
-        *lost, sample = self._door.take(sample)
-        for earlier in lost:
-            self._push(earlier)
-        return self._push(sample)
-
-    def _push(self, sample: Sample) -> MirrorState:
-        """Take one sample that the door has settled."""
+        """Take one settled sample; return the state of the twins at its tick."""
         if self._previous is None or not sample.follows(self._previous):
             self._restart(sample)
         disturbances = _disturbances(sample)

@@ -158,7 +158,7 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     assert main(["import", str(OTHERS / table), *arguments]) == 0
     session = open_any(tmp_path / "session")
     terms = terms_from_files(session)
-    listener = Listener(session.name, session.samples, terms.settings, Choices())
+    listener = Listener(session.name, terms.settings, Choices())
     tested = graded(judge(session, terms, beside=listener), listener)
     assert listener.twin is not None
     forecaster = listener.twin.discriminator.forecaster

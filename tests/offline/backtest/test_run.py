@@ -23,16 +23,8 @@ from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Arx
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import Choices
-from twinmatch.offline.backtest.run import (
-    Listener,
-    ask,
-    backtest,
-    graded,
-    mark,
-    origins,
-    regular,
-)
+from twinmatch.offline.backtest import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.offline.backtest.origins import ask, mark, origins
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     HINDSIGHT,
@@ -50,7 +42,6 @@ from twinmatch.offline.backtest.scoring import (
     document,
     over_all,
 )
-from twinmatch.offline.backtest.several import backtest_session
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of, write_session
@@ -114,7 +105,7 @@ def backtest_where(wanted: Callable[[Sample], bool]) -> Backtest:
     """Of those samples of the sample session."""
     session = open_any(SHIPPED)
     part = replace(session, samples=[s for s in session.samples if wanted(s)])
-    return backtest(part, terms_from_files(part), EARLY)
+    return backtest(part, terms_from_files(part), EARLY)[0]
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +127,7 @@ def test_a_session_cut_short_gives_the_same_forecasts(early: Backtest) -> None:
 def test_forecasts_through_a_fault_are_left_out(tmp_path: Path) -> None:
     """From sample 640 on the drive does nothing; nobody is blamed for not foreseeing that."""
     session = open_any(write_session(tmp_path / "lost", drive_lost()))
-    tested = backtest(session, terms_from_files(session), TWIN_ONLY)
+    (tested,) = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert tested.marked
     assert all(m.sample + m.horizon < 640 for m in tested.marked)
     assert any("the plant had a fault" in note for note in tested.notes)
@@ -145,7 +136,7 @@ def test_forecasts_through_a_fault_are_left_out(tmp_path: Path) -> None:
 def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     still = np.full(200, 30.0)
     session = open_any(write_session(tmp_path / "still", samples_of(Window(still, still, still))))
-    tested = backtest(session, terms_from_files(session), TWIN_ONLY)
+    (tested,) = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert (tested.marked, tested.cards, tested.shown) == ((), [], ())
     assert any("there was no candidate yet" in note for note in tested.notes)
 
@@ -171,7 +162,7 @@ def test_nothing_is_forecast_over_a_gap() -> None:
     """Forty samples are lost: what is said before ends there, and what is said after starts over."""
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:1000], *whole.samples[1040:1300]])
-    tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))
+    (tested,) = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))
     reach = {(m.sample, m.sample + round(m.horizon)) for m in tested.marked}
     assert any(last < 1000 for _, last in reach)
     assert any(first >= 1040 for first, _ in reach)
@@ -188,7 +179,7 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
     choices = Choices(every=2.0, horizons=(0.5, 5.0))
     settings = TwinSettings.of(Motor, period=0.05)
-    listener = Listener("motor", samples, settings, choices)
+    listener = Listener("motor", settings, choices)
     judgement = judge_samples("motor", samples, settings, beside=listener)
     tested = graded(judgement, listener)
     leader = card(tested, LEADER, 5.0)
@@ -252,7 +243,7 @@ def tested() -> Backtest:
     marked = []
     shown = []
     arx = Arx(Peltier.loop, 1.0)
-    origin_at = {origin.sample: origin for origin in origins([loop], regular([loop], 60.0), HORIZONS)}
+    origin_at = {origin.sample: origin for origin in origins([loop], range(59, len(loop), 60), HORIZONS)}
     for sample in samples_of(loop):
         arx.push(sample)
         if sample.index in origin_at:

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS, ArxForecast
-from twinmatch.offline.backtest.run import Origin, ask, mark, origins, regular, with_constant_band
+from twinmatch.offline.backtest.origins import Origin, SettledStretch, ask, mark, origins
+from twinmatch.offline.backtest.run import with_constant_band
 from twinmatch.offline.backtest.scoring import (
     HINDSIGHT,
     BacktestError,
@@ -46,7 +47,18 @@ def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
 def origins_of(
     windows: Sequence[Window], verdict_samples: Sequence[int], interval: float, horizons: Sequence[float]
 ) -> list[Origin]:
-    return origins(windows, [*regular(windows, interval), *verdict_samples], horizons)
+    """As a listener chooses them, sample by sample."""
+    chosen = []
+    for recorded in windows:
+        stretch = SettledStretch(recorded.period)
+        pace = samples_within(interval, recorded.period)
+        wanted = []
+        for sample in recorded.samples(0):
+            stretch.push(sample)
+            if stretch.is_regular(pace) or sample.index in verdict_samples:
+                wanted.append(sample.index)
+        chosen += origins([stretch.window()], wanted, horizons)
+    return chosen
 
 
 def test_forecasts_begin_at_every_minute_and_every_verdict() -> None:

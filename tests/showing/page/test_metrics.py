@@ -28,8 +28,8 @@ from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.showing.page.metrics import exposition
-from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.server import PageServer
+from twinmatch.showing.page.shown import metrics_text, outlet_to
 from twinmatch.showing.page.state import DashboardState, DriveReport
 from twinmatch.showing.serving import ServingError
 

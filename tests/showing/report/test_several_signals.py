@@ -106,7 +106,7 @@ def test_in_a_known_loop_its_commands_are_shown_likewise() -> None:
     assert [row["signal"] for row in trust_by_signal(judged.verdicts[-1])] == four
     health = draw_health(judged.samples, judged.matches, judged.verdicts, judged.settings)
     assert [axes.get_ylabel().split("\n")[0] for axes in health.axes[1:-1]] == four
-    session = draw_session(judged.samples, judged.verdicts, judged.settings)
+    session = draw_session(judged.samples, judged.verdicts, judged.settings, judged.stretches)
     labels = [axes.get_ylabel() for axes in session.axes]
     difference_labels = ["plant − twin / °C", "plant − twin / %"]
     assert labels == [

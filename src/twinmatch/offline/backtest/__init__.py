@@ -3,12 +3,20 @@
 `backtest_session` runs a session through the twin and makes forecasts with all forecasters at every verdict
 and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. The
 peers are the referees of the verdict: persistence and ARX, from the same samples as there.
-`backtest_outputs` takes plants with several loops, too: one `Backtest` for each output.
+`backtest_outputs` does so for a plant with any number of outputs: one `Backtest` for each.
 """
 
-from twinmatch.offline.backtest.run import Choices, Listener, backtest, graded, graded_outputs, portable
+from twinmatch.offline.backtest.run import (
+    Choices,
+    Listener,
+    backtest,
+    backtest_outputs,
+    backtest_session,
+    graded,
+    graded_outputs,
+    portable,
+)
 from twinmatch.offline.backtest.scoring import PEERS, Backtest, Card, Marked, cards, marks
-from twinmatch.offline.backtest.several import backtest_outputs, backtest_session
 
 __all__ = [
     "PEERS",

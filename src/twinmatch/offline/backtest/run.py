@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Final, NamedTuple
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import BASELINES, Verdict
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant, channels
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
+from twinmatch.importing import open_any
+from twinmatch.offline.backtest.origins import Origin, SettledStretch, ask, origins, scores
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     LEADER,
@@ -23,137 +26,15 @@ from twinmatch.offline.backtest.scoring import (
     Marked,
     best_in_hindsight,
     common,
-    marks,
     samples_within,
 )
-from twinmatch.offline.judging import Judgement, Terms, Watch, judge
-from twinmatch.offline.processes import Beside, held_interrupts
+from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
+from twinmatch.offline.processes import Beside, beside, held_interrupts
 from twinmatch.sessions import Session
-from twinmatch.sessions.files import part_of
+from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import FloatArray, Sample, Window, one_of_each
-from twinmatch.twin import Outcome, Twin, TwinSettings, filled_stretches, response_on
+from twinmatch.twin import Outcome, Twin, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
-
-
-@dataclass(frozen=True, eq=False)
-class Origin:
-    """A sample at which all forecasters make a forecast."""
-
-    sample: int
-    """Index of the newest sample that is known."""
-    stretch: Window
-    """The stretch without gaps that contains it."""
-    count: int
-    """Length of the forecast, samples: the longest horizon, or the rest of the stretch."""
-    driven: bool = False
-    """Whether the loop is not known, so that the actual inputs are given."""
-
-    @cached_property
-    def past(self) -> Window:
-        """The samples known at the origin."""
-        return self.stretch.part(self.stretch.first, self.sample)
-
-    @cached_property
-    def came(self) -> Window:
-        """The samples that followed, as many as forecast."""
-        return self.stretch.part(self.sample + 1, self.sample + self.count)
-
-    def alone(self, k: int) -> Origin:
-        """With the k-th output and input only, and of the samples only those that followed."""
-        return replace(self, stretch=self.came.alone(k))
-
-    @property
-    def ahead(self) -> FloatArray:
-        """The future values that a forecast may use: the set-points, or the inputs if the loop is not known;
-        shape (N,), or of several (N, r)."""
-        signals = self.came.inputs if self.driven else self.came.references
-        return signals[:, 0] if signals.shape[1] == 1 else signals
-
-    @property
-    def disturbances(self) -> FloatArray | None:
-        """The actual disturbances from the newest sample on, shape (N + 1, d); None if there are none."""
-        rows = self.stretch.part(self.sample, self.sample + self.count).disturbances
-        return rows if rows.size else None
-
-
-def regular(stretches_of_session: Sequence[Window], interval: float) -> list[int]:
-    """The samples at regular intervals, in seconds, within each stretch."""
-    samples: list[int] = []
-    for stretch in stretches_of_session:
-        pace = samples_within(interval, stretch.period)
-        samples += range(stretch.first + pace - 1, stretch.last + 1, pace)
-    return samples
-
-
-def origins(
-    stretches_of_session: Sequence[Window],
-    samples: Iterable[int],
-    horizons: Sequence[float],
-    *,
-    driven: bool = False,
-) -> list[Origin]:
-    """The origins at these samples of a session's stretches, if at least the nearest of the horizons, s, from
-    near to far, can be scored."""
-    wanted = sorted(set(samples))
-    places = []
-    for stretch in stretches_of_session:
-        nearest = samples_within(horizons[0], stretch.period)
-        farthest = samples_within(horizons[-1], stretch.period)
-        places += [
-            Origin(k, stretch, min(farthest, stretch.last - k), driven)
-            for k in wanted
-            if stretch.first <= k <= stretch.last - nearest
-        ]
-    return places
-
-
-def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
-    """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
-    with one_thread():
-        forecasts = arx.referees(origin.ahead, origin.disturbances)
-    past = origin.past
-    size = origin.count
-    outputs = origin.past.outputs.shape[1]
-    unknown = np.full(size, np.nan)
-    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts]
-    return {
-        name: Forecast(
-            sample=origin.sample,
-            candidate=PEERS[name],
-            structure="",
-            confidence=CONFIDENCE,
-            time=np.arange(1, size + 1, dtype=np.float64) * past.period,
-            references=np.full(size, np.nan) if origin.driven else origin.ahead,
-            outputs=bands_of_peer[:outputs],
-            inputs=bands_of_peer[outputs:],
-        )
-        for name, bands_of_peer in zip(BASELINES, bands, strict=True)
-    }
-
-
-def mark(
-    session: str,
-    forecaster: str,
-    forecast: Forecast,
-    origin: Origin,
-    *,
-    horizons: Sequence[float],
-    plant: type[Plant],
-    candidate: str = "",
-) -> list[Marked]:
-    """Score a forecast at every horizon that the session reaches and whose last sample was received."""
-    actual = origin.came
-    counts = {horizon: samples_within(horizon, actual.period) for horizon in horizons}
-    reached = [
-        horizon
-        for horizon, count in counts.items()
-        if count <= origin.count and (actual.seen is None or actual.seen[count - 1])
-    ]
-    return [
-        Marked(session, origin.sample, horizon, forecaster, result, candidate)
-        for horizon, result in zip(reached, marks(forecast, actual, reached, plant), strict=True)
-    ]
-
 
 SPARSER: Final = 2.0
 """Default time between two forecasts, in times between two forecasts that the twin scores."""
@@ -257,7 +138,6 @@ class Listener:
     def __init__(
         self,
         session: str,
-        samples: Sequence[Sample],
         settings: TwinSettings,
         choices: Choices,
         work: Beside | None = None,
@@ -267,12 +147,15 @@ class Listener:
         self.horizons = choices.ahead(scored.horizons, period)
         self.common = _Common(session, settings, self.horizons, choices.peers)
         self.work = work or Beside()
-        self._every = SPARSER * scored.every if choices.every is None else choices.every
-        self._samples = samples
-        self._settings = settings
-        self._knows_twin = bool(settings.plant.typical)
-        """Whether there is a twin by which readings are judged: a typical one, or the first nominal one."""
-        self._lay_out()
+        self._pace = samples_within(
+            SPARSER * scored.every if choices.every is None else choices.every, period
+        )
+        """Samples between two forecasts, besides those at every verdict."""
+        self._farthest = samples_within(self.horizons[-1], period)
+        """Samples within the farthest horizon."""
+        self._stretch = SettledStretch(period)
+        self._waiting: deque[tuple[int, _Outlooks]] = deque()
+        """Outlooks, and the samples that they are from, until the samples have come that are forecast."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
         self.twin: Twin | None = None
@@ -280,22 +163,34 @@ class Listener:
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
-        if not self._knows_twin and any(verdict.chosen for verdict in outcome.verdicts):
-            self._knows_twin = True
-            self._lay_out(outcome.verdicts)
-        if not (outcome.verdicts or sample.index in self.wanted):
-            return
-        for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.law is None):
-            asked = _outlooks(twin)
-            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
-            self.graded[sample.index] = task
+        for settled in outcome.settled:
+            if settled.usable:
+                self._take(settled)
+        is_wanted = bool(outcome.verdicts) or self._stretch.is_regular(self._pace)
+        if is_wanted and self._stretch.last == sample.index:
+            self._waiting.append((sample.index, _outlooks(twin)))
 
-    def _lay_out(self, verdicts: Sequence[Verdict] = ()) -> None:
-        """Settle the samples, with the twin by which readings are judged once these verdicts name it."""
-        self.held = filled_stretches(self._samples, self._settings, verdicts)
-        """The stretches between gaps that are too long to be filled."""
-        self.wanted = frozenset(regular(self.held, self._every))
-        """Samples at which outlooks are recorded, besides those of the verdicts."""
+    def finish(self) -> None:
+        """Give the last forecasts to be graded, by as many samples as have come."""
+        while self._waiting:
+            self._grade_oldest()
+
+    def _take(self, settled: Sample) -> None:
+        """Take a usable sample; forecasts that end here, or with the stretch before, are graded."""
+        if not self._stretch.continued_by(settled):
+            self.finish()
+            self._stretch = SettledStretch(self.common.settings.period)
+        self._stretch.push(settled)
+        while self._waiting and self._waiting[0][0] + self._farthest <= settled.index:
+            self._grade_oldest()
+
+    def _grade_oldest(self) -> None:
+        """Have the oldest forecasts that wait graded, if the nearest horizon has been reached."""
+        sample, asked = self._waiting.popleft()
+        driven = self.common.settings.law is None
+        for origin in origins([self._stretch.window()], [sample], self.horizons, driven=driven):
+            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
+            self.graded[sample] = task
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether the monitor found a fault of the plant between two samples."""
@@ -326,10 +221,10 @@ def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
     of_roles = [(role, name, forecasts[name]) for role, name in asked.who.items()]
-    if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-        nominal = asked.who[NOMINAL]
+    nominal = asked.who.get(NOMINAL)
+    if nominal is not None and len(origin.past) > SKIPPED + 1:
+        parameters = asked.outlooks[nominal].parameters
         with one_thread():
-            parameters = asked.outlooks[nominal].parameters
             constant = with_constant_band(forecasts[nominal], parameters, origin.past, settings.law)
         of_roles.append((CONSTANT, nominal, constant))
     of_candidates = [(name, name, forecast) for name, forecast in forecasts.items()]
@@ -340,22 +235,6 @@ def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
         scored = partial(scores, session, horizons, origin.alone(k), plant, k)
         marked.append([*scored(of_roles), *best_in_hindsight(scored(of_candidates)), *scored(of_peers)])
     return _Graded(marked, forecasts[asked.who[LEADER]])
-
-
-def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
-    session: str,
-    horizons: Sequence[float],
-    origin: Origin,
-    plant: type[Plant],
-    k: int,
-    forecasts: Iterable[tuple[str, str, Forecast]],
-) -> Iterator[Marked]:
-    """The scores of the k-th output in forecasts; with each, its forecaster's and its candidate's name."""
-    for forecaster, candidate, forecast in forecasts:
-        of_output = forecast.alone(k)
-        yield from mark(
-            session, forecaster, of_output, origin, horizons=horizons, plant=plant, candidate=candidate
-        )
 
 
 def outputs_alone(plant: type[Plant]) -> list[tuple[int, type[Plant]]]:
@@ -380,11 +259,49 @@ def backtest(
     *,
     watch: Watch | None = None,
     work: Beside | None = None,
-) -> Backtest:
-    """Test the twin on a session with these settings; see `backtest_outputs`."""
-    listener = Listener(session.name, session.samples, terms.settings, choices or Choices(), work)
+) -> tuple[Backtest, ...]:
+    """Test the twin on a session with these settings: one backtest for each output of the plant."""
+    listener = Listener(session.name, terms.settings, choices or Choices(), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
-    return graded(judgement, listener, watch=part_of(watch, 1, 2))
+    return graded_outputs(judgement, listener, watch=part_of(watch, 1, 2))
+
+
+def backtest_outputs(
+    path: Path,
+    choices: Choices | None = None,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
+    second: bool = False,
+) -> tuple[Backtest, ...]:
+    """Test the twin on a session, an .mcap file or a recording: one backtest for each output of the plant.
+
+    Args:
+        path: session, .mcap file or recording.
+        choices: horizons, interval and peers.
+        config, candidates: files of parameters and initial candidates; without them the defaults and none.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch, progress: called with the progress of judging and of reading.
+        second: whether a second process may forecast meanwhile; it is a fork of this one.
+    """
+    with beside(possible=second) as work:
+        session = open_any(path, progress=progress, plant=plant)
+        terms = terms_from_files(session, config, candidates)
+        portable_work = work if portable(terms.settings.plant) else None
+        tests = backtest(session, terms, choices, watch=watch, work=portable_work)
+        return tuple(replace(test, notes=(*session.missing, *test.notes)) for test in tests)
+
+
+def backtest_session(path: Path, choices: Choices | None = None, **options: Any) -> Backtest:
+    """Test the twin of a plant with one output on a session; arguments as of `backtest_outputs`.
+
+    Raises:
+        SignalError: the plant has several outputs.
+    """
+    return one_of_each("output", backtest_outputs(path, choices, **options))
 
 
 def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = None) -> Backtest:
@@ -399,6 +316,7 @@ def graded_outputs(
 
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
+    listener.finish()
     plant = judgement.settings.plant
     period = judgement.settings.period
     results: list[tuple[_Graded, list[float]]] = []
@@ -423,12 +341,9 @@ def graded_outputs(
     results.reverse()
     tests = []
     for k, alone in outputs_alone(plant):
-        all_marks = [
-            mark
-            for result, unspoilt_horizons in results
-            for mark in result.marked[k]
-            if mark.horizon in unspoilt_horizons
-        ]
+        all_marks: list[Marked] = []
+        for graded_origin, unspoilt_horizons in results:
+            all_marks += [mark for mark in graded_origin.marked[k] if mark.horizon in unspoilt_horizons]
         marked = common(all_marks)
         judged = {mark.sample for mark in marked}
         pictured = one_after_another(result.shown for result, _ in results if result.shown.sample in judged)
@@ -440,10 +355,11 @@ def graded_outputs(
                 horizons=listener.horizons,
                 confidence=CONFIDENCE,
                 marked=tuple(marked),
-                came=tuple(window.alone(k) for window in listener.held),
+                came=tuple(window.alone(k) for window in judgement.stretches),
                 shown=tuple(forecast.alone(k) for forecast in pictured),
-                notes=tuple(_notes(total, judged, all_marks, spoilt, unasked)),
+                notes=tuple(_notes(total, judged, all_marks, spoilt=spoilt, unasked=unasked)),
                 last=judgement.verdicts[-1] if judgement.verdicts else None,
+                summary=judgement.summary,
             )
         )
     return tuple(tests)
@@ -459,7 +375,12 @@ def one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
 
 
 def _notes(
-    asked: int, judged: set[int], marked: Sequence[Marked], spoilt: int, unasked: int
+    asked: int,
+    judged: set[int],
+    marked: Sequence[Marked],
+    *,
+    spoilt: int,
+    unasked: int,
 ) -> Iterable[str]:
     """Sentences on what was left out and why."""
     if unasked:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast
+from twinmatch.offline.summary import SessionSummary
 from twinmatch.record import finite
 from twinmatch.signals import BoolArray, FloatArray, Window, rms
-
-if TYPE_CHECKING:
-    from twinmatch.offline.channels import ChannelHealth
 
 PEERS: Final = {"persistence": "persistence", "arx": "ARX"}
 """Names in tables and figures of the forecasts that need no twin: those of `BASELINES`."""
@@ -339,10 +337,10 @@ class Backtest:
     """Consecutive forecasts of the leader, for a figure."""
     notes: tuple[str, ...] = ()
     """Sentences on what was left out and why."""
-    health: ChannelHealth | None = None
-    """Of the whole plant, if it has several channels."""
     last: Verdict | None = None
     """The session's last verdict; None without one, and for several sessions together."""
+    summary: SessionSummary | None = None
+    """What the twin's verdicts come down to, faults included; None for several sessions together."""
 
     @cached_property
     def cards(self) -> list[Card]:
@@ -384,8 +382,8 @@ def over_all(tests: Sequence[Backtest]) -> Backtest:
         marked=tuple(marked),
         pictured=first.name,
         last=None,
+        summary=None,
         notes=tuple(f"{test.name}: {note}" for test in tests for note in test.notes),
-        health=None,
     )
 
 

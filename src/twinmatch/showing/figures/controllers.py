@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from twinmatch.controllers import ControllerAnswer, NextExperiment
+from twinmatch.dynamics import Drive, Output, Plant
 from twinmatch.showing.figures.drawing import draw_set_point, new_figure, stack, styled
 from twinmatch.showing.quantities import with_unit
 from twinmatch.showing.style import CLOSED, PLANT
@@ -25,24 +26,17 @@ _LETTERS: Final = 100
 def draw_answer(answer: ControllerAnswer) -> Figure:
     """A row for each output with its set-points, then one for each command."""
     plant = answer.plant
-    outputs = list(plant.outputs.items())
-    drives = list(plant.drives.items())
-    ratios = [2.0] * len(outputs) + [1.4] * len(drives)
-    figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
-    axes = stack(figure, ratios)
-    for j, (name, output) in enumerate(outputs):
-        draw_set_point(axes[j], answer.time, answer.references[:, j], 0.9, named=not j)
-        _draw(axes[j], answer, "outputs", j)
-        axes[j].set_ylabel(with_unit(name.replace("_", " "), output.unit))
-    for i, (name, drive) in enumerate(drives):
-        input_axes = axes[len(outputs) + i]
-        _draw(input_axes, answer, "inputs", i)
-        input_axes.set_ylabel(
-            drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit)
-        )
-    axes[-1].set_xlabel("time / s")
-    axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure, output_axes, input_axes = _rows_for(plant)
+    for j, (axes, (name, output)) in enumerate(zip(output_axes, plant.outputs.items(), strict=True)):
+        draw_set_point(axes, answer.time, answer.references[:, j], 0.9, named=not j)
+        _draw(axes, answer, "outputs", j)
+        axes.set_ylabel(with_unit(name.replace("_", " "), output.unit))
+    for i, (axes, (name, drive)) in enumerate(zip(input_axes, plant.drives.items(), strict=True)):
+        _draw(axes, answer, "inputs", i)
+        axes.set_ylabel(drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit))
+    input_axes[-1].set_xlabel("time / s")
+    output_axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
+    figure.legend(*output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -50,28 +44,33 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
 def draw_experiment(experiment: NextExperiment) -> Figure:
     """A row for each output with the bands of all twins, then one for each command."""
     plant = experiment.leader.parameters.model.plant
-    rows = experiment.course.rows
-    terms = experiment.terms
-    time = np.arange(len(rows), dtype=np.float64) * terms.holding.period
-    outputs = list(plant.outputs.items())
-    drives = list(plant.drives.items())
-    ratios = [2.0] * len(outputs) + [1.4] * len(drives)
-    figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
-    axes = stack(figure, ratios)
-    for j, (name, signal) in enumerate([*outputs, *drives]):
-        axes[j].set_ylabel(with_unit(name.replace("_", " "), signal.unit))
-        axes[j].margins(x=0.01)
-    for j in range(len(outputs)):
-        if terms.holding.law is not None:
-            draw_set_point(axes[j], time, rows[:, j], 0.9, named=not j)
-        for k, run in enumerate(experiment.course.runs):
-            _draw_run(axes[j], time, run.outputs[:, j], run.bands[:, j], named=not k)
-    for i in range(len(drives)):
-        for run in experiment.course.runs:
-            axes[len(outputs) + i].plot(time, run.inputs[:, i], color=CLOSED, lw=0.8)
-    axes[-1].set_xlabel("time / s")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    course = experiment.course
+    holding = experiment.terms.holding
+    time = np.arange(len(course.rows), dtype=np.float64) * holding.period
+    figure, output_axes, input_axes = _rows_for(plant)
+    signals: dict[str, Output | Drive] = {**plant.outputs, **plant.drives}
+    for axes, (name, signal) in zip([*output_axes, *input_axes], signals.items(), strict=True):
+        axes.set_ylabel(with_unit(name.replace("_", " "), signal.unit))
+        axes.margins(x=0.01)
+    for j, axes in enumerate(output_axes):
+        if holding.law is not None:
+            draw_set_point(axes, time, course.rows[:, j], 0.9, named=not j)
+        for k, run in enumerate(course.runs):
+            _draw_run(axes, time, run.outputs[:, j], run.bands[:, j], named=not k)
+    for i, axes in enumerate(input_axes):
+        for run in course.runs:
+            axes.plot(time, run.inputs[:, i], color=CLOSED, lw=0.8)
+    input_axes[-1].set_xlabel("time / s")
+    figure.legend(*output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
+
+
+def _rows_for(plant: type[Plant]) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A figure with a row for each output, then one for each command."""
+    ratios = [2.0] * len(plant.outputs) + [1.4] * len(plant.drives)
+    figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
+    axes = list(stack(figure, ratios))
+    return figure, axes[: len(plant.outputs)], axes[len(plant.outputs) :]
 
 
 def _draw_run(axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray, *, named: bool) -> None:

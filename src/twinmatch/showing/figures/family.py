@@ -121,12 +121,7 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     matrix = np.array(verdict.nu_gap)
     top = max(float(matrix.max()), 1e-12)
     image: Any = axes.imshow(matrix, cmap=MATRIX_MAP, vmin=0, vmax=top)
-    size = 7 if len(matrix) > _CROWDED else 8
-    for i, j in np.ndindex(*matrix.shape):
-        colour = "white" if _is_dark(image, float(matrix[i, j])) else TEXT
-        text = f"{matrix[i, j]:.2f}"
-        number = axes.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
-        number.set_in_layout(False)  # it lies within its cell
+    _write_values(axes, image, matrix)
     names = [c.name for c in verdict.candidates]
     rows = [f"{c.name}  Σ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
     axes.set_xticks(range(len(names)), names, rotation=45 if len(names) > 4 else 0)
@@ -137,6 +132,15 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")
+
+
+def _write_values(axes: Axes, image: Any, matrix: FloatArray) -> None:
+    """Write each value into its cell of the image."""
+    size = 7 if len(matrix) > _CROWDED else 8
+    for (row, column), value in np.ndenumerate(matrix):
+        colour = "white" if _is_dark(image, float(value)) else TEXT
+        text = axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=size, color=colour)
+        text.set_in_layout(False)  # it lies within its cell
 
 
 def _is_dark(image: Any, value: float) -> bool:

@@ -75,25 +75,31 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     forecast = fan.forecast
     past = fan.past
     measured = fan.measured
-    past_time = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
+    past_samples = np.arange(past.first, past.last + 1, dtype=np.float64) - forecast.sample
+    past_time = past_samples * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
         draw_set_point(output, np.concatenate([past_time, forecast.time]), set_points, 0.9, named=True)
-    for axes, band, before, after in (
-        (output, forecast.output, past.output, None if measured is None else measured.output),
-        (control, forecast.input, past.input, None if measured is None else measured.input),
-    ):
-        _fill(axes, forecast.time, band, label=_BAND)
-        axes.plot(past_time, before, color=PLANT, lw=1.1, label="measured before")
-        if after is not None:
-            time = forecast.time[: after.size]
-            dotted = (0, (1, 1))
-            axes.plot(time, after, color=PLANT, lw=1.1, ls=dotted, label="measured afterwards")
-        axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
-        axes.axvline(0, color=SET_POINT, lw=0.8)
-        axes.margins(x=0.01)
+    output_after = np.empty(0) if measured is None else measured.output
+    input_after = np.empty(0) if measured is None else measured.input
+    _draw_signal(output, past_time, past.output, forecast.time, forecast.output, output_after)
+    _draw_signal(control, past_time, past.input, forecast.time, forecast.input, input_after)
     name = "\n".join(wrap(forecast.candidate, _LETTERS))
     output.set_title(f"sample {forecast.sample}:\n{name}", size=9)
+
+
+def _draw_signal(  # noqa: PLR0917 (in the order of time)
+    axes: Axes, past_time: FloatArray, before: FloatArray, time: FloatArray, band: Band, after: FloatArray
+) -> None:
+    """One signal before and after the sample of a forecast, and its band; `after` may be empty."""
+    _fill(axes, time, band, label=_BAND)
+    axes.plot(past_time, before, color=PLANT, lw=1.1, label="measured before")
+    if after.size:
+        dotted = (0, (1, 1))
+        axes.plot(time[: after.size], after, color=PLANT, lw=1.1, ls=dotted, label="measured afterwards")
+    axes.plot(time, band.mean, color=CLOSED, lw=1.1, label="forecast")
+    axes.axvline(0, color=SET_POINT, lw=0.8)
+    axes.margins(x=0.01)
 
 
 def _fill(axes: Axes, time: FloatArray, band: Band, around: float | FloatArray = 0.0, **line: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from twinmatch.dynamics import Plant
 from twinmatch.memory import MemoryReport, ParameterChange
 from twinmatch.showing.figures.drawing import empty, new_figure, stack, styled
-from twinmatch.showing.quantities import parameter_format
+from twinmatch.showing.quantities import ParameterFormat, parameter_format
 from twinmatch.showing.style import MODEL, PLANT
 
 if TYPE_CHECKING:
@@ -45,20 +45,28 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
         return figure
     free = lessons[0].free
     figure = new_figure(max(6.0, min(0.5 * len(lessons) + 3.0, 16.0)), 1.5 * len(free) + 0.8)
+    all_axes = stack(figure, [1.0] * len(free))
+    for k, axes in enumerate(all_axes):
+        _draw_course(axes, report, k, parameter_format(plant, free[k]))
+    axes = all_axes[-1]
     places = np.arange(len(lessons))
     names = [lesson.name for lesson in lessons]
-    for k, (axes, name) in enumerate(zip(stack(figure, [1.0] * len(free)), free, strict=True)):
-        shown = parameter_format(plant, name)
-        values = [shown.shown(lesson.parameters[name]) for lesson in lessons]
-        errors = [_NINETY * shown.factor * float(lesson.deviations[k]) for lesson in lessons]
-        axes.errorbar(places, values, yerr=errors, fmt="o", ms=4, capsize=3, color=PLANT)
-        axes.set_ylabel(shown.label)
-        for change in report.changes:
-            if change.name == name:
-                _mark(axes, change, [shown.shown(level) for level in (change.old, change.new)], names)
     interval = max(1, -(-len(lessons) // _NAMES.most))
     axes.set_xticks(places[::interval], names[::interval], rotation=45, ha="right")
     return figure
+
+
+def _draw_course(axes: Axes, report: MemoryReport, k: int, shown: ParameterFormat) -> None:
+    """The k-th free parameter over the sessions, and its changes."""
+    lessons = report.lessons
+    values = [shown.shown(lesson.parameters[shown.name]) for lesson in lessons]
+    errors = [_NINETY * shown.factor * float(lesson.deviations[k]) for lesson in lessons]
+    axes.errorbar(np.arange(len(lessons)), values, yerr=errors, fmt="o", ms=4, capsize=3, color=PLANT)
+    axes.set_ylabel(shown.label)
+    names = [lesson.name for lesson in lessons]
+    for change in report.changes:
+        if change.name == shown.name:
+            _mark(axes, change, [shown.shown(change.old), shown.shown(change.new)], names)
 
 
 def _mark(axes: Axes, change: ParameterChange, levels: list[float], names: list[str]) -> None:

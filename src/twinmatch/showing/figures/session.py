@@ -33,7 +33,7 @@ from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import FloatArray, Sample, Window, point_text, stretches
-from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
+from twinmatch.twin import MatchReport, TwinSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +47,18 @@ _SHOWN = 0.99
 
 
 @styled
-def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
+def draw_session(
+    samples: Sequence[Sample],
+    verdicts: Sequence[Verdict],
+    settings: TwinSettings,
+    settled: Sequence[Window],
+) -> Figure:
     """Output and input of the plant and of the leader's twins, and the residuals with their 95 % band.
 
+    `settled` are the stretches of the samples as the twin took them; its twins are compared with these.
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
-    parts = _compared(samples, verdicts, settings)
+    parts = _compared(settled, verdicts, settings)
     closed = settings.law is not None
     rows = 2
     if parts:
@@ -67,13 +73,13 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
 
 
 def _compared(
-    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings
+    settled: Sequence[Window], verdicts: Sequence[Verdict], settings: TwinSettings
 ) -> Sequence[Comparison]:
-    """The leader's twins beside the plant, in each stretch; none where there is no leader."""
+    """The leader's twins beside the plant, in each settled stretch; none where there is no leader."""
     shown = shown_twin(verdicts[-1] if verdicts else None)
     if shown is None:
         return ()
-    return compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings)
+    return compare(settled, shown.parameters, settings)
 
 
 def _draw_loop(
@@ -221,16 +227,24 @@ def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: 
 def _draw_matches(
     axes: Axes, matches: Sequence[MatchReport], admitted_at: Collection[int], period: float, unit: str
 ) -> None:
-    for is_admitted, marker, level in ((True, "o", TrustLevel.TRUSTED), (False, "x", TrustLevel.FAULT)):
-        times = [m.sample * period for m in matches if (m.sample in admitted_at) is is_admitted]
-        axes.plot(times, [float(is_admitted)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
-    for m in matches:
-        point = (m.sample * period, float(m.sample in admitted_at))
-        place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
-        axes.annotate(point_text(m.operating_point), point, (0, 5), **place)
+    admitted_matches = [m for m in matches if m.sample in admitted_at]
+    refused_matches = [m for m in matches if m.sample not in admitted_at]
+    _mark_matches(axes, admitted_matches, period, 1.0, "o", TrustLevel.TRUSTED)
+    _mark_matches(axes, refused_matches, period, 0.0, "x", TrustLevel.FAULT)
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
+
+
+def _mark_matches(  # noqa: PLR0917 (a mark and its place)
+    axes: Axes, matches: Sequence[MatchReport], period: float, height: float, marker: str, level: TrustLevel
+) -> None:
+    """Draw a mark for each of these matches at a height, with its operating point above."""
+    times = [m.sample * period for m in matches]
+    axes.plot(times, [height] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
+    place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
+    for time, m in zip(times, matches, strict=True):
+        axes.annotate(point_text(m.operating_point), (time, height), (0, 5), **place)
 
 
 @styled
@@ -268,9 +282,15 @@ def _draw_leader(upper: Axes, control: Axes, parts: Sequence[Comparison], label:
 
 @styled
 def draw_verdict(
-    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
+    samples: Sequence[Sample],
+    verdicts: Sequence[Verdict],
+    settings: TwinSettings,
+    settled: Sequence[Window],
+    path: Path,
 ) -> None:
     """Plant and leading twin, trust over time, the criteria and the ν-gap matrix, on one page.
+
+    `settled` are the stretches of the samples as the twin took them.
 
     Raises:
         TwinmatchError: matplotlib cannot write such a file there.
@@ -285,14 +305,11 @@ def draw_verdict(
         signal_axes.sharex(trust)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = _compared(samples, verdicts, settings)
+    parts = _compared(settled, verdicts, settings)
     windows = stretches(samples, settings.period)
     closed = settings.law is not None
     for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
-        for number, window in enumerate(windows):
-            alone = window.alone(k)
-            draw_outputs(upper, alone, closed=closed, named=number == 0, lw=1.2)
-            draw_inputs(control, alone, 0.9)
+        _draw_measured(upper, control, [window.alone(k) for window in windows], closed=closed)
         if shown is not None:
             _draw_leader(upper, control, [part.alone(k) for part in parts], f"twin of {shown.name}")
         for axes, signal in zip((upper, control), signal_names(loop), strict=True):
@@ -309,6 +326,13 @@ def draw_verdict(
             draw_gains(figure.add_subplot(grid[3, 0]), last)
         fill_matrix(figure.add_subplot(grid[3, 1]), last)
     save(figure, path)
+
+
+def _draw_measured(upper: Axes, control: Axes, windows: Sequence[Window], *, closed: bool) -> None:
+    """One output and one input as they were measured."""
+    for number, window in enumerate(windows):
+        draw_outputs(upper, window, closed=closed, named=number == 0, lw=1.2)
+        draw_inputs(control, window, 0.9)
 
 
 def _title(shown: ShownTwin, nominal: CandidateScore | None) -> str:

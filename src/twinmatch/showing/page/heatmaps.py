@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
@@ -59,36 +60,21 @@ class GapMatrix:
         nominal = verdict.nominal if verdict else None
         # Long names do not fit above the columns: columns have numbers, rows have names and numbers.
         columns = [str(k) for k in range(1, len(candidates) + 1)]
-        names = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
+        rows = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
         gaps = np.array(verdict.nu_gap if verdict else (), dtype=np.float64)
-        if gaps.shape != (len(names), len(names)):
-            gaps = np.zeros((len(names), len(names)))
+        if gaps.shape != (len(rows), len(rows)):
+            gaps = np.zeros((len(rows), len(rows)))
         most = max(float(gaps.max()), 1e-12) if gaps.size else 1.0
         self.figure.x_range.factors = columns
-        self.figure.y_range.factors = [SUM, *reversed(names)]
-        self.figure.height = _SIZE.head + _SIZE.row * (len(names) + 1)
+        self.figure.y_range.factors = [SUM, *reversed(rows)]
+        self.figure.height = _SIZE.head + _SIZE.row * (len(rows) + 1)
         self._colours.high = most
-        places = list(np.ndindex(*gaps.shape))
-        values = [float(gaps[place]) for place in places]
-        self._cells.data = {
-            "column": [columns[j] for _, j in places],
-            "row": [names[i] for i, _ in places],
-            "gap": values,
-            "shown": [number(value, 2) for value in values],
-            "interval": [_interval(candidates[i], j) for i, j in places],
-            "ink": [_ink(value / most) for value in values],
-            "pair": [f"{candidates[i].name} and {candidates[j].name}" for i, j in places],
-        }
-        self._sums.data = {
-            "column": columns,
-            "row": [SUM] * len(names),
-            "gap": [c.nu_gap_sum for c in candidates],
-            "shown": [number(c.nu_gap_sum, 2) for c in candidates],
-            "interval": [""] * len(names),
-            "ink": [TEXT] * len(names),
-            "pair": [c.name for c in candidates],
-            "style": ["bold" if c.name == nominal else "normal" for c in candidates],
-        }
+        cells = []
+        for (i, j), gap in np.ndenumerate(gaps):
+            cell = _cell(candidates[i], candidates[j], j, float(gap), most)
+            cells.append({**cell, "row": rows[i], "column": columns[j]})
+        self._cells.data = _by_column(cells)
+        self._sums.data = _sums(candidates, columns, nominal)
 
     def _draw(self) -> Any:
         ranges = {"x_range": FactorRange(), "y_range": FactorRange(), "x_axis_location": "above"}
@@ -105,6 +91,43 @@ class GapMatrix:
         rows = [("between", "@pair"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
+
+
+def _cell(
+    candidate: CandidateScore, other: CandidateScore, place: int, gap: float, most: float
+) -> dict[str, Any]:
+    """The ν-gap from a candidate to another one, which has this place; `most` is the largest of all gaps."""
+    return {
+        "gap": gap,
+        "shown": number(gap, 2),
+        "interval": _interval(candidate, place),
+        "ink": _ink(gap / most),
+        "pair": f"{candidate.name} and {other.name}",
+    }
+
+
+def _by_column(cells: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+    """The cells as lists, one for each column of the source."""
+    data = {}
+    for name in _COLUMNS:
+        data[name] = [cell[name] for cell in cells]
+    return data
+
+
+def _sums(
+    candidates: Sequence[CandidateScore], columns: Sequence[str], nominal: str | None
+) -> dict[str, list[Any]]:
+    """The sums of all candidates' ν-gaps, by the columns of the row below the matrix."""
+    return {
+        "column": list(columns),
+        "row": [SUM] * len(candidates),
+        "gap": [c.nu_gap_sum for c in candidates],
+        "shown": [number(c.nu_gap_sum, 2) for c in candidates],
+        "interval": [""] * len(candidates),
+        "ink": [TEXT] * len(candidates),
+        "pair": [c.name for c in candidates],
+        "style": ["bold" if c.name == nominal else "normal" for c in candidates],
+    }
 
 
 def _map(name: str, height: int, **options: Any) -> Any:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from twinmatch.description import Description
 from twinmatch.ending import end_in_order
-from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.state import DashboardState, update_sentence
-from twinmatch.showing.serving import Hosts
+from twinmatch.showing.serving import Hosts, ServingError
 from twinmatch.twin import TwinSettings
 
 if TYPE_CHECKING:
@@ -88,3 +89,33 @@ class Shown:
         """Leave the broker, and stop the page; returns whether the threads of both have ended."""
         parts = (self._outlet, self._server)
         return end_in_order(*(part.close for part in parts if part is not None))
+
+
+def metrics_text(state: DashboardState) -> bytes:
+    """What Prometheus reads at /metrics.
+
+    Raises:
+        ServingError: its package is not installed.
+    """
+    _require("prometheus_client", "/metrics")
+    from twinmatch.showing.page.metrics import exposition  # noqa: PLC0415
+
+    return exposition(state, time.monotonic())
+
+
+def outlet_to(url: str, rig: str = "") -> MqttOutlet:
+    """What publishes a state over MQTT; URL and rig are those of an `MqttOutlet`.
+
+    Raises:
+        ServingError: the package for MQTT is not installed.
+        BrokerError: the URL cannot be used, or there is no connection.
+    """
+    _require("paho", "--tell")
+    from twinmatch.showing.page.mqtt_outlet import MqttOutlet  # noqa: PLC0415
+
+    return MqttOutlet(url, rig)
+
+
+def _require(package: str, use: str) -> None:
+    if find_spec(package) is None:
+        raise ServingError(f"{use} needs {package}, which is not installed; pip install 'twinmatch[outlets]'")

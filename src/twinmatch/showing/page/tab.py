@@ -192,33 +192,48 @@ class Tab:
         now = self._clock()
         with state.lock:
             state.nodes.expire(now)
-            seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active][1]
-            span = state.plant.capacity
-            if seconds:
-                span = min(span, max(1, round(seconds / state.period)))
+            span = self._samples_shown()
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
             self._update_texts(now)
-            has_begun = state.sample is not None
-            if self._changed("happened", (state.verdicts, state.event_count, state.period, has_begun)):
-                of_session = [event for event in reversed(state.events) if event.session == state.session]
-                self._charts.draw_events(state.tally.stretches, of_session, state.period)
-                events = panels.events_table(reversed(state.events), state.session, state.period)
-                self._show("events", events)
-            if self._changed("family", (state.verdicts, self._all_orders.active)):
-                self._matrix.update(state.verdict)
-                none_yet = state.verdict is None or not state.verdict.candidates
-                self._matrix.figure.visible = not none_yet
-                self._show("matrix_note", panels.NO_CANDIDATE if none_yet else "")
-                self._show(
-                    "family", panels.family_table(state.verdict, all_orders=bool(self._all_orders.active))
-                )
+            self._update_happened()
+            self._update_family()
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
             self._player.update(state.nodes.player)
             if self._changed("described", state.described) and state.described != self._described:
                 self._texts["status"].tags = [state.described.plant]  # reloads the page, with these names
+
+    def _samples_shown(self) -> int:
+        """How many of the newest samples the charts show."""
+        state = self._state
+        _, seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active]
+        if not seconds:
+            return state.plant.capacity
+        return min(state.plant.capacity, max(1, round(seconds / state.period)))
+
+    def _update_happened(self) -> None:
+        """Show the events, as marks and in a table."""
+        state = self._state
+        has_begun = state.sample is not None
+        if not self._changed("happened", (state.verdicts, state.event_count, state.period, has_begun)):
+            return
+        of_session = [event for event in reversed(state.events) if event.session == state.session]
+        self._charts.draw_events(state.tally.stretches, of_session, state.period)
+        self._show("events", panels.events_table(reversed(state.events), state.session, state.period))
+
+    def _update_family(self) -> None:
+        """Show the ν-gaps and the table of the candidates."""
+        verdict = self._state.verdict
+        all_orders = self._all_orders.active
+        if not self._changed("family", (self._state.verdicts, all_orders)):
+            return
+        self._matrix.update(verdict)
+        has_candidates = verdict is not None and bool(verdict.candidates)
+        self._matrix.figure.visible = has_candidates
+        self._show("matrix_note", "" if has_candidates else panels.NO_CANDIDATE)
+        self._show("family", panels.family_table(verdict, all_orders=bool(all_orders)))
 
     def _draw_forecast(self, span: float) -> None:
         """Show the newest `span` seconds, and the forecast after them."""

@@ -86,7 +86,7 @@ def _svg(draw: Callable[[], Figure]) -> str:
 def _of_session(j: Judgement) -> Iterator[Picture]:
     """The figures of the whole session."""
     title = "Plant and leading twin over the whole session"
-    draw = partial(draw_session, j.samples, j.verdicts, j.settings)
+    draw = partial(draw_session, j.samples, j.verdicts, j.settings, j.stretches)
     yield Picture("session", title, _session_alt(j), draw)
     draw = partial(draw_health, j.samples, j.matches, j.verdicts, j.settings)
     yield Picture("health", "Health over time", _health_alt(j), draw)

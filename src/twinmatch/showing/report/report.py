@@ -187,7 +187,7 @@ def _judge(
     watch: Watch | None = None,
     work: Beside | None = None,
 ) -> JudgedSession:
-    listener = Listener(session.name, session.samples, terms.settings, Choices(peers=tuple(peers)), work)
+    listener = Listener(session.name, terms.settings, Choices(peers=tuple(peers)), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _verify(session, judgement, why_incomparable)
     watch_rest = part_of(watch, 1, 2)

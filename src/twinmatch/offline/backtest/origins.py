@@ -1,0 +1,187 @@
+"""Samples at which all forecasters make a forecast, and the scores of what they say there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twinmatch.comparing import BASELINES
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast
+from twinmatch.offline.backtest.scoring import PEERS, Marked, marks, samples_within
+from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.twin.matcher import one_thread
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """A sample at which all forecasters make a forecast."""
+
+    sample: int
+    """Index of the newest sample that is known."""
+    stretch: Window
+    """The stretch without gaps that contains it."""
+    count: int
+    """Length of the forecast, samples: the longest horizon, or the rest of the stretch."""
+    driven: bool = False
+    """Whether the loop is not known, so that the actual inputs are given."""
+
+    @cached_property
+    def past(self) -> Window:
+        """The samples known at the origin."""
+        return self.stretch.part(self.stretch.first, self.sample)
+
+    @cached_property
+    def came(self) -> Window:
+        """The samples that followed, as many as forecast."""
+        return self.stretch.part(self.sample + 1, self.sample + self.count)
+
+    def alone(self, k: int) -> Origin:
+        """With the k-th output and input only, and of the samples only those that followed."""
+        return replace(self, stretch=self.came.alone(k))
+
+    @property
+    def ahead(self) -> FloatArray:
+        """The future values that a forecast may use: the set-points, or the inputs if the loop is not known;
+        shape (N,), or of several (N, r)."""
+        signals = self.came.inputs if self.driven else self.came.references
+        return signals[:, 0] if signals.shape[1] == 1 else signals
+
+    @property
+    def disturbances(self) -> FloatArray | None:
+        """The actual disturbances from the newest sample on, shape (N + 1, d); None if there are none."""
+        rows = self.stretch.part(self.sample, self.sample + self.count).disturbances
+        return rows if rows.size else None
+
+
+class SettledStretch:
+    """Settled samples that follow one another, as a window that grows."""
+
+    def __init__(self, period: float) -> None:
+        """Begin without samples; `period` is the sample time, s."""
+        self._period = period
+        self._window: Window | None = None
+        self._newest: list[Sample] = []
+        """Samples that are not in the window yet."""
+        self._count = 0
+        self._last: Sample | None = None
+
+    @property
+    def last(self) -> int | None:
+        """Index of the newest sample; None before the first."""
+        return None if self._last is None else self._last.index
+
+    def continued_by(self, sample: Sample) -> bool:
+        """Whether a sample is the next one, or the first."""
+        return self._last is None or sample.follows(self._last)
+
+    def push(self, sample: Sample) -> None:
+        """Take the next sample."""
+        self._last = sample
+        self._count += 1
+        self._newest.append(sample)
+
+    def is_regular(self, pace: int) -> bool:
+        """Whether a multiple of `pace` samples has come."""
+        return self._count > 0 and self._count % pace == 0
+
+    def window(self) -> Window:
+        """All samples so far.
+
+        Raises:
+            SignalError: there is none.
+        """
+        if self._newest or self._window is None:
+            newest = Window.from_samples(self._newest, self._period)
+            self._window = newest if self._window is None else self._window.joined(newest)
+            self._newest = []
+        return self._window
+
+
+def origins(
+    stretches_of_session: Sequence[Window],
+    samples: Iterable[int],
+    horizons: Sequence[float],
+    *,
+    driven: bool = False,
+) -> list[Origin]:
+    """The origins at these samples of a session's stretches, if at least the nearest of the horizons, s, from
+    near to far, can be scored."""
+    wanted = sorted(set(samples))
+    places = []
+    for stretch in stretches_of_session:
+        nearest = samples_within(horizons[0], stretch.period)
+        farthest = samples_within(horizons[-1], stretch.period)
+        places += [
+            Origin(k, stretch, min(farthest, stretch.last - k), driven)
+            for k in wanted
+            if stretch.first <= k <= stretch.last - nearest
+        ]
+    return places
+
+
+def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
+    """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
+    with one_thread():
+        forecasts = arx.referees(origin.ahead, origin.disturbances)
+    past = origin.past
+    size = origin.count
+    outputs = origin.past.outputs.shape[1]
+    unknown = np.full(size, np.nan)
+    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts]
+    return {
+        name: Forecast(
+            sample=origin.sample,
+            candidate=PEERS[name],
+            structure="",
+            confidence=CONFIDENCE,
+            time=np.arange(1, size + 1, dtype=np.float64) * past.period,
+            references=np.full(size, np.nan) if origin.driven else origin.ahead,
+            outputs=bands_of_peer[:outputs],
+            inputs=bands_of_peer[outputs:],
+        )
+        for name, bands_of_peer in zip(BASELINES, bands, strict=True)
+    }
+
+
+def mark(
+    session: str,
+    forecaster: str,
+    forecast: Forecast,
+    origin: Origin,
+    *,
+    horizons: Sequence[float],
+    plant: type[Plant],
+    candidate: str = "",
+) -> list[Marked]:
+    """Score a forecast at every horizon that the session reaches and whose last sample was received."""
+    actual = origin.came
+    counts = {horizon: samples_within(horizon, actual.period) for horizon in horizons}
+    reached = [
+        horizon
+        for horizon, count in counts.items()
+        if count <= origin.count and (actual.seen is None or actual.seen[count - 1])
+    ]
+    return [
+        Marked(session, origin.sample, horizon, forecaster, result, candidate)
+        for horizon, result in zip(reached, marks(forecast, actual, reached, plant), strict=True)
+    ]
+
+
+def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
+    session: str,
+    horizons: Sequence[float],
+    origin: Origin,
+    plant: type[Plant],
+    k: int,
+    forecasts: Iterable[tuple[str, str, Forecast]],
+) -> Iterator[Marked]:
+    """The scores of the k-th output in forecasts; with each, its forecaster's and its candidate's name."""
+    for forecaster, candidate, forecast in forecasts:
+        of_output = forecast.alone(k)
+        yield from mark(
+            session, forecaster, of_output, origin, horizons=horizons, plant=plant, candidate=candidate
+        )
