@@ -334,3 +334,19 @@ def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
                 looked_at.add(name)
                 assert contrast(colour, "#FFFFFF") >= 4.5, (model, name, colour)
     assert looked_at >= {"text_color", "axis_label_text_color", "major_label_text_color", "label_text_color"}
+
+
+def test_a_tab_is_sent_one_thermal_image_a_second() -> None:
+    now = [0.0]
+    state = DashboardState()
+    page = Tab(state, Nothing(), clock=lambda: now[0])
+    document = Document()
+    page.build(document)
+    drawn = {}
+    for tenth in range(25):
+        now[0] = tenth / 10
+        state.push_image(np.full((4, 5), 20.0 + tenth, dtype=np.float32))
+        page.update()
+        drawn[tenth] = float(source(document, "thermal").data["image"][0][0, 0]) - 20.0
+    assert set(drawn.values()) == {0.0, 10.0, 20.0}
+    assert (drawn[9], drawn[10], drawn[24]) == (0.0, 10.0, 20.0)
