@@ -134,6 +134,19 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
 
 
+def test_every_tab_has_its_own_view_of_the_same() -> None:
+    state = DashboardState()
+    fill(state, 0, 400, period=1.0)
+    near, first = opened(state)
+    far, second = opened(state)
+    first.get_model_by_name("span").active = 0
+    fill(state, 400, 1, period=1.0)
+    for page in (near, far):
+        page.update()
+    assert list(source(first, "output").data["t"]) == [float(k) for k in range(101, 401)]  # five minutes
+    assert list(source(second, "output").data["t"]) == [float(k) for k in range(401)]
+
+
 def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     count = len(last.candidates)

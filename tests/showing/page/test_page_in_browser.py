@@ -6,7 +6,6 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -407,20 +406,6 @@ def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any)
     assert drawn[0] <= 0.21
     assert [t - drawn[0] for t in drawn] == pytest.approx([0.0, 0.9, 1.0, 1.9])
     browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
-    assert browser.warnings() == []
-
-
-def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser: Any) -> None:
-    first = browser.driver.current_window_handle
-    browser.driver.switch_to.new_window("tab")
-    browser.open(page.url)
-    graph.session(counted(400))
-    browser.click("5 min")
-    shown = partial(browser.column, "output", 0, "t")
-    browser.wait_for(lambda: shown()[-1:] == [399.0] and len(shown()) == 300, "the last five minutes")
-    browser.driver.close()
-    browser.driver.switch_to.window(first)
-    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 400, "twenty minutes")
     assert browser.warnings() == []
 
 
