@@ -7,22 +7,25 @@ that the examples of all pages may import.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.support.places import PROJECT
 
-PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+PAGES = {
+    page: page.read_text(encoding="utf-8")
+    for page in (PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md")))
+}
+"""Every page with its text."""
 NEEDS_ROS = re.compile(r"import rclpy|cyclonedds")
 
 
 def examples() -> list[tuple[str, str]]:
     runnable = []
-    for page in PAGES:
-        blocks = re.findall(
-            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
-        )
+    for page, text in PAGES.items():
+        blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
         name = str(page.relative_to(PROJECT))
         runnable += [
             (f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)
@@ -30,21 +33,27 @@ def examples() -> list[tuple[str, str]]:
     return runnable
 
 
-@pytest.fixture(autouse=True)
-def _modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for page in PAGES:
-        blocks = re.findall(
-            r"^```python (\w+\.py)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
-        )
-        for name, code in blocks:
-            (tmp_path / name).write_text(code, encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
+def modules() -> dict[str, str]:
+    """The modules that examples may import, by the names of their files."""
+    fenced = re.compile(r"^```python (\w+\.py)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+    return {name: code for text in PAGES.values() for name, code in fenced.findall(text)}
+
+
+@pytest.fixture(scope="module")
+def _modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    folder = tmp_path_factory.mktemp("modules")
+    for name, code in modules().items():
+        (folder / name).write_text(code, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        yield
 
 
 def test_examples_of_the_readme_are_among_those_that_are_run() -> None:
     assert any(name.startswith("README") for name, _ in examples())
 
 
+@pytest.mark.usefixtures("_modules")
 @pytest.mark.parametrize(("name", "code"), examples(), ids=[name for name, _ in examples()])
 def test_each_example_runs_and_prints_what_it_says(
     name: str, code: str, capsys: pytest.CaptureFixture[str]
@@ -56,5 +65,5 @@ def test_each_example_runs_and_prints_what_it_says(
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text(encoding="utf-8")):
+    for target in re.findall(r"\]\((?!https?://)([^)#]+)", PAGES[page]):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -7,11 +7,12 @@ import re
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from tests.support.places import PROJECT
-from tests.words.test_style import prose
+from tests.words.test_style import prose_of_python
 from twinmatch.comparing.verdict import ADMITTED, REFUSED, TrustLevel
 from twinmatch.fitting.gate import Status
 from twinmatch.health.faults import Fault, HealthState
@@ -96,8 +97,29 @@ def exit_codes(tree: ast.AST) -> Iterator[int]:
             )
 
 
-def test_every_exit_code_has_a_row_and_there_is_no_other() -> None:
-    used_codes = {code for path in SOURCES for code in exit_codes(ast.parse(path.read_text("utf-8")))}
+class Said(NamedTuple):
+    """What the programs can say, read once from their source."""
+
+    codes: set[int]
+    """Exit codes."""
+    sentences: str
+    """A text a line."""
+
+
+@pytest.fixture(scope="module")
+def said() -> Said:
+    codes: set[int] = set()
+    texts: list[str] = []
+    for path in SOURCES:
+        source = path.read_text("utf-8")
+        tree = ast.parse(source)
+        codes.update(exit_codes(tree))
+        texts.extend(" ".join(text.split()) for text in prose_of_python(source, tree))
+    return Said(codes, "\n".join(texts))
+
+
+def test_every_exit_code_has_a_row_and_there_is_no_other(said: Said) -> None:
+    used_codes = said.codes
     assert {0, 1, 2, 3, 4, 130} <= used_codes
     assert {int(row[0]) for row in rows(section("Exit codes"))} == used_codes | {SIGALRM}
 
@@ -116,23 +138,18 @@ QUOTED = [
 ]
 
 
-@pytest.fixture(scope="module")
-def sentences() -> str:
-    return "\n".join(" ".join(text.split()) for path in SOURCES for text in prose(path))
-
-
 def test_the_page_quotes_many_messages() -> None:
     assert len(QUOTED) > 80
 
 
 @pytest.mark.parametrize("words", QUOTED)
-def test_what_is_quoted_is_said(words: str, sentences: str) -> None:
+def test_what_is_quoted_is_said(words: str, said: Said) -> None:
     pattern = ".*".join(re.escape(part.strip()) for part in words.split("…"))
-    assert re.search(pattern, sentences), f"nothing in the source says {words!r}"
+    assert re.search(pattern, said.sentences), f"nothing in the source says {words!r}"
 
 
-def test_what_is_not_said_would_be_found(sentences: str) -> None:
-    assert not re.search(re.escape("the flux capacitor is at fault"), sentences)
+def test_what_is_not_said_would_be_found(said: Said) -> None:
+    assert not re.search(re.escape("the flux capacitor is at fault"), said.sentences)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/dashboard.md", "docs/health.md"])

@@ -20,6 +20,7 @@ from twinmatch.parameters.twin import ParameterError, read_settings, recorded_va
 from twinmatch.plants import Peltier
 from twinmatch.record.trees import parameters_of, parameters_tree
 from twinmatch.sessions import write_session
+from twinmatch.showing.report.report import make_report
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Twin, TwinSettings, watched
 from twinmatch.twin.structures import choose_structure
@@ -73,15 +74,19 @@ def test_wrong_physics_loses_the_choice_of_structures(
 
 
 @pytest.mark.usefixtures("only_fmus")
-def test_wrong_physics_forecasts_worse(
-    adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
+def test_wrong_physics_forecasts_worse_and_a_report_names_both(
+    adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path, tmp_path: Path
 ) -> None:
-    right = adopted(exchange_fmu, "right")
-    wrong = adopted(wrong_fmu, "wrong")
-    verdict = judged(a_session()).verdicts[-1]
+    right = adopted(exchange_fmu, "right").structure_name
+    wrong = adopted(wrong_fmu, "wrong").structure_name
+    report = make_report(write_session(tmp_path / "run", a_session(700)))
+    verdict = report.judged.judgement.verdicts[-1]
     gains = {score.name: score.gain for score in verdict.forecasts}
-    assert gains[right.structure_name] > gains[wrong.structure_name]
-    assert verdict.leader != wrong.structure_name
+    assert gains[right] > gains[wrong]
+    assert verdict.leader != wrong
+    page = report.html()
+    assert right in page
+    assert wrong in page
 
 
 @pytest.mark.usefixtures("only_fmus")
@@ -89,7 +94,7 @@ def test_two_judgements_are_the_same_to_the_last_bit(
     adopted: Callable[..., Model], exchange_fmu: Path
 ) -> None:
     model = adopted(exchange_fmu)
-    first, second = (judged(a_session(600)).verdicts for _ in range(2))
+    first, second = (judged(a_session(420)).verdicts for _ in range(2))
     names = {score.name for verdict in first for score in verdict.forecasts}
     assert model.structure_name in names
     assert repr(first) == repr(second)
@@ -142,13 +147,13 @@ def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Pa
 
 
 @pytest.mark.usefixtures("adopted", "only_fmus")
-def test_a_report_is_written_with_an_fmu(exchange_fmu: Path, tmp_path: Path) -> None:
-    maps = write_map(tmp_path, exchange_fmu, "for the report")
-    write_session(tmp_path / "run", a_session(600))
-    page = tmp_path / "run.html"
-    assert main(["report", str(tmp_path / "run"), "--allow-fmu", str(maps), "-o", str(page)]) == 0
+def test_a_command_lets_the_fmus_run_that_it_names(exchange_fmu: Path, tmp_path: Path) -> None:
+    maps = write_map(tmp_path, exchange_fmu, "from the command")
+    session = write_session(tmp_path / "minute", a_session(60))
+    assert main(["replay", str(session), "--allow-fmu", str(maps)]) == 0
     (name,) = [name for name in Peltier.structures if is_fmu(name)]
-    assert name in page.read_text(encoding="utf-8")
+    assert name.startswith("from the command (FMU ")
+    assert Peltier.structures[name].watched
 
 
 def test_a_session_is_verified_with_its_own_fmu_only(

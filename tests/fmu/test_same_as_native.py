@@ -143,7 +143,7 @@ def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
         )
 
 
-@pytest.mark.parametrize("model", ["exchange_fmu", "python_fmu"], indirect=True)
+@pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
 def test_a_match_finds_the_same_parameters(model: Model) -> None:
     window = a_window(100)
     native = match(window, start=NATIVE.parameters())

@@ -11,7 +11,7 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.sessions import write_session
 from twinmatch.sessions.metadata import PLANT
-from twinmatch.showing.report.report import SessionReport, make_report
+from twinmatch.showing.report.report import JudgedSession, SessionReport, build_report, judge_for_report
 
 ENDS = 1640
 """Samples; from the 1500th on T2 reads 5 °C too much."""
@@ -34,12 +34,18 @@ def driven(kit: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def kit_report(kit: Path, driven: Path) -> SessionReport:
-    """The report on it; `kit_report.judged.judgement` is what it is on."""
-    return make_report(kit, config=driven)
+def kit_judged(kit: Path, driven: Path) -> JudgedSession:
+    """It judged, with forecasts on the way."""
+    return judge_for_report(kit, driven)
 
 
 @pytest.fixture(scope="session")
-def two(kit_report: SessionReport) -> Judgement:
+def kit_report(kit: Path, kit_judged: JudgedSession) -> SessionReport:
+    """The report on it, whose figures take longer than the judgement."""
+    return build_report(kit_judged, kit)
+
+
+@pytest.fixture(scope="session")
+def two(kit_judged: JudgedSession) -> Judgement:
     """Its judgement."""
-    return kit_report.judged.judgement
+    return kit_judged.judgement

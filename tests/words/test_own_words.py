@@ -17,17 +17,19 @@ from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 
 from tests.showing.page.test_page import Nothing
-from tests.words.conftest import Shown
+from tests.words.conftest import FOREIGN, Shown
 from twinmatch.cli import main
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants.records import description_of
-from twinmatch.sessions import read_session
+from twinmatch.sessions import read_session, write_session
 from twinmatch.showing.foxglove.layout import layout
 from twinmatch.showing.page.state import DashboardState, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
 from twinmatch.twin import Mirror
 
 Capture = pytest.CaptureFixture[str]
+FIRST_MATCH = 500
+"""Samples after which the first twin is matched: the first set-point step is that of sample 240."""
 
 
 def printed_by(capsys: Capture, *words: object) -> str:
@@ -93,13 +95,18 @@ def lettering(document: Document) -> str:
     )
 
 
+def test_a_page_that_knows_no_plant_yet_uses_nobodys_words() -> None:
+    document = Document()
+    Tab(DashboardState(), Nothing(), clock=lambda: 0.0).build(document)
+    text = lettering(document)
+    assert "set-point" in text
+    assert not FOREIGN.findall(text)
+
+
 def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     session = read_session(shown.folder)
     judged = judge(session, terms_from_files(session, shown.config))
     state = DashboardState()
-    bare = Document()
-    Tab(state, Nothing(), clock=lambda: 0.0).build(bare)
-    shown.speaks_of_itself(lettering(bare), "set-point")
     state.describe(description_of(shown.plant))
     page = Tab(state, Nothing(), clock=lambda: 0.0)
     document = Document()
@@ -129,5 +136,7 @@ def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
 
 
 def test_an_archive_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
-    text = printed_by(capsys, "replay", shown.folder, "--config", shown.config, "--out", tmp_path / "archive")
+    samples = read_session(shown.folder).samples[:FIRST_MATCH]
+    session = write_session(tmp_path / "half", samples)
+    text = printed_by(capsys, "replay", session, "--config", shown.config, "--out", tmp_path / "archive")
     shown.speaks_of_itself(text, shown.plant.output.unit)

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,11 +21,11 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics import (
     Model,
+    Parameters,
     Structure,
     StructureLostError,
     begin,
     kernels,
-    read,
     runs,
     simulate_driven,
     variances,
@@ -48,7 +49,7 @@ from twinmatch.signals import FloatArray
 
 _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
-_FINITE: Final = {"advance", "run", "run_with_tangents"}
+_FINITE: Final = {"advance", "advance_side_by_side", "run", "run_with_tangents"}
 """Kernels whose results are refused unless all are finite."""
 _ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)}
 """Classes of values that an answer may have."""
@@ -88,18 +89,41 @@ def check_restart(model: Model) -> None:
     drive = np.concatenate([np.repeat(ends, _RESTART.short // 2), np.repeat([high, low], size // 2)])
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
-    for k, u in enumerate(drive.tolist()):
-        after = model.kernels.advance(
-            parameters.vector, run.states[k], np.array([u]), model.disturbances, period, run.steps
-        )
-        output = read(parameters, run.states[k])
-        _require_same(model, output, run.output[k], after, run.states[k + 1])
+    for first, last in _stretches_of(drive):
+        after, outputs = _restarted_each(parameters, run.states[first:last], drive[first], period, run.steps)
+        for k in range(first, min(last, drive.size - 1)):
+            _require_same(
+                model, outputs[k - first, 0], run.output[k + 1], after[k - first], run.states[k + 1]
+            )
     for k in (drive.size // 4, drive.size // 2, 3 * drive.size // 4):
         restarted = simulate_driven(parameters, drive[k:], states=run.states[k], period=period)
         for j in range(drive.size - k):
             _require_same(
                 model, restarted.output[j], run.output[k + j], restarted.states[j], run.states[k + j]
             )
+
+
+def _stretches_of(drive: FloatArray) -> list[tuple[int, int]]:
+    """The first sample of each stretch with one drive, and the first after it."""
+    changes = np.flatnonzero(np.diff(drive)) + 1
+    edges = [0, *changes.tolist(), drive.size]
+    return list(pairwise(edges))
+
+
+def _restarted_each(
+    parameters: Parameters, states: FloatArray, drive: float, period: float, steps: int
+) -> tuple[FloatArray, FloatArray]:
+    """The states, shape (k, n), a sample after each of some states, and the outputs then, shape (k, 1).
+
+    From the last to the first, so that what an FMU remembers is never what it would remember in one run.
+    """
+    model = parameters.model
+    vectors = np.tile(parameters.vector, (len(states), 1))
+    backwards = np.ascontiguousarray(states[::-1])
+    after, outputs = model.kernels.advance_side_by_side(
+        vectors, backwards, np.array([drive]), model.disturbances, period, steps
+    )
+    return after[::-1], outputs[::-1]
 
 
 def _require_same(

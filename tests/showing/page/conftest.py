@@ -90,15 +90,19 @@ class Browser:
         )
 
     def sized(self, *sizes: tuple[int, int]) -> Iterator[tuple[int, int]]:
-        """The page loaded again in windows of these widths and heights, a telephone's if it is narrow, and at
-        last in its own."""
+        """The page in windows of these widths and heights, and at last in its own.
+
+        A narrow window is a telephone's, which loads the page again: some things fit its width from then on.
+        """
         for width, height in sizes:
-            window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+            is_telephone = width < 600
+            window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_telephone}
             self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", window)
-            self.open(self.driver.current_url)
+            if is_telephone:
+                self.open(self.driver.current_url)
+            self.run("scrollTo(0, 0)")
             yield width, height
         self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        self.open(self.driver.current_url)
         yield 1440, 1000
 
     def keys(self, *keys: str) -> None:

@@ -134,6 +134,19 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
 
 
+def test_every_tab_has_its_own_view_of_the_same() -> None:
+    state = DashboardState()
+    fill(state, 0, 400, period=1.0)
+    near, first = opened(state)
+    far, second = opened(state)
+    first.get_model_by_name("span").active = 0
+    fill(state, 400, 1, period=1.0)
+    for page in (near, far):
+        page.update()
+    assert list(source(first, "output").data["t"]) == [float(k) for k in range(101, 401)]  # five minutes
+    assert list(source(second, "output").data["t"]) == [float(k) for k in range(401)]
+
+
 def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     count = len(last.candidates)
@@ -334,3 +347,19 @@ def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
                 looked_at.add(name)
                 assert contrast(colour, "#FFFFFF") >= 4.5, (model, name, colour)
     assert looked_at >= {"text_color", "axis_label_text_color", "major_label_text_color", "label_text_color"}
+
+
+def test_a_tab_is_sent_one_thermal_image_a_second() -> None:
+    now = [0.0]
+    state = DashboardState()
+    page = Tab(state, Nothing(), clock=lambda: now[0])
+    document = Document()
+    page.build(document)
+    drawn = {}
+    for tenth in range(25):
+        now[0] = tenth / 10
+        state.push_image(np.full((4, 5), 20.0 + tenth, dtype=np.float32))
+        page.update()
+        drawn[tenth] = float(source(document, "thermal").data["image"][0][0, 0]) - 20.0
+    assert set(drawn.values()) == {0.0, 10.0, 20.0}
+    assert (drawn[9], drawn[10], drawn[24]) == (0.0, 10.0, 20.0)

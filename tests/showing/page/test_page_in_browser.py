@@ -6,7 +6,6 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +48,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("page")]
 FORECAST = 3
 ANSWER = 6
 """Where the chart of the output draws what comes next, among its lines."""
+LEADS = 310
+"""Samples of the quarter of an hour after which the first twin is matched, which leads then."""
 
 
 FITS = "const page = document.documentElement; return page.scrollWidth <= page.clientWidth"
@@ -66,6 +67,9 @@ let e = document.activeElement;
 while (e && e.shadowRoot && e.shadowRoot.activeElement) e = e.shadowRoot.activeElement;
 return e ? (e.innerText || '').trim() : '';
 """
+CHART = "const chart = Bokeh.documents[0].get_model_by_name(arguments[0]);"
+PIXELS = f"{CHART} return Bokeh.index.get_one(chart).canvas_view.primary.canvas.toDataURL()"
+"""What is drawn of a chart, wherever the page is scrolled to."""
 FAINT = """
 const up = (e) => e.parentElement || (e.getRootNode().host ?? null);
 const parts = (c) => (c.match(/[\\d.]+/g) || []).map(Number);
@@ -226,6 +230,22 @@ def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
     assert browser.warnings() == []
 
 
+def test_a_chart_is_drawn_only_while_somebody_can_see_it(graph: Graph, browser: Any) -> None:
+    browser.run("scrollTo(0, 0)")
+    browser.wait_for(
+        lambda: browser.run(f"{CHART} return chart.hold_render", "control_residual"), "that it waits"
+    )
+    unseen = browser.run(PIXELS, "control_residual")
+    graph.session(counted(30))
+    browser.wait_for(lambda: browser.column("control_residual", 1, "t")[-1:] == [29.0], "the samples")
+    assert not browser.run(f"{CHART} return chart.hold_render", "output")  # the time of all follows this one
+    assert browser.run(PIXELS, "control_residual") == unseen
+    browser.run(f"{CHART} Bokeh.index.get_one(chart).el.scrollIntoView()", "control_residual")
+    browser.wait_for(lambda: browser.run(PIXELS, "control_residual") != unseen, "the drawing")
+    browser.run("scrollTo(0, 0)")
+    assert browser.warnings() == []
+
+
 def test_verdicts_family_and_events_are_shown(graph: Graph, browser: Any, judged: Judgement) -> None:
     graph.session(list(judged.samples), judged)
     last = judged.verdicts[-1]
@@ -290,8 +310,18 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     _ = node("matcher")
     browser.wait_for(lambda: graph.heard("plant/sample") == 2, "the discriminator")
     browser.wait_for(lambda: graph.node.count_publishers("twin/match"), "the matcher")
-    graph.session(list(judged.samples))
-    last = float(judged.samples[-1].index)
+    coming = iter(judged.samples)
+    sent = list(itertools.islice(coming, LEADS))
+    graph.session(sent)
+
+    def publish() -> None:
+        """Until there is a leader: the matcher takes its time, on a busy machine more of it."""
+        further_samples = list(itertools.islice(coming, 10))
+        graph.session(further_samples, rate=50.0)
+        sent.extend(further_samples)
+
+    wait_for(lambda: browser.column("output", FORECAST, "t"), "a forecast", meanwhile=publish)
+    last = float(sent[-1].index)
     browser.wait_for(lambda: browser.column("output", FORECAST, "t")[:1] == [last + 1.0], "the forecast")
     assert browser.column("output", FORECAST, "t")[-1] == last + 300.0
     low, mean, high = (browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high"))
@@ -303,7 +333,7 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     browser.wait_for(lambda: "set-point 55.5 °C for 120 s" in browser.text, "the question")
     browser.wait_for(lambda: "temperature after 300 s" in browser.text, "the answer")
     asked = browser.column("output", ANSWER, "reference")
-    assert (asked[0], asked[118], asked[119]) == (55.5, 55.5, judged.samples[-1].reference)
+    assert (asked[0], asked[118], asked[119]) == (55.5, 55.5, sent[-1].reference)
     _ask(browser, "400", "")
     browser.wait_for(lambda: "the set-point is 400 °C; give one from" in browser.text, "the refusal")
     assert browser.column("output", ANSWER, "t") == []
@@ -379,20 +409,6 @@ def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any)
     assert browser.warnings() == []
 
 
-def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser: Any) -> None:
-    first = browser.driver.current_window_handle
-    browser.driver.switch_to.new_window("tab")
-    browser.open(page.url)
-    graph.session(counted(400))
-    browser.click("5 min")
-    shown = partial(browser.column, "output", 0, "t")
-    browser.wait_for(lambda: shown()[-1:] == [399.0] and len(shown()) == 300, "the last five minutes")
-    browser.driver.close()
-    browser.driver.switch_to.window(first)
-    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 400, "twenty minutes")
-    assert browser.warnings() == []
-
-
 def test_without_control_nothing_can_be_asked_of_the_rig(graph: Graph, browser: Any) -> None:
     for label in ("Set", "Clear fault", "Output off"):
         assert browser.button(label) is None
@@ -401,11 +417,17 @@ def test_without_control_nothing_can_be_asked_of_the_rig(graph: Graph, browser: 
     assert services == {"/player/pause", "/player/set_parameters", "/twin/what_if"}
 
 
+@pytest.fixture(scope="module")
+def commanding(page_process: Callable[..., Any]) -> Process:
+    """A page that may command the rig."""
+    started: Process = page_process("--control")
+    return started
+
+
 def test_control_asks_the_controller_and_the_bridge(
-    page_process: Callable[..., Any], graph: Graph, browser: Any, node: Callable[..., Process]
+    commanding: Process, graph: Graph, browser: Any, node: Callable[..., Process]
 ) -> None:
     """A set-point entered on the page is the reference of the next sample of a real controller."""
-    commanding = page_process("--control")
     ending = threading.Event()
 
     def measure() -> None:
@@ -457,12 +479,11 @@ def test_control_asks_the_controller_and_the_bridge(
 
 
 def test_an_open_tab_comes_back_with_the_server(
-    page_process: Callable[..., Any], graph: Graph, browser: Any
+    commanding: Process, page_process: Callable[..., Any], graph: Graph, browser: Any
 ) -> None:
-    first = page_process()
-    address = first.url
-    browser.open(address)
-    assert first.end() == 0
+    """After the test above: the tab shows the page that may command."""
+    address = commanding.url
+    assert commanding.end() == 0
     browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
     restarted = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
     assert restarted.url == address
@@ -476,11 +497,8 @@ def test_an_open_tab_comes_back_with_the_server(
     browser.warnings()  # those of the lost connection
 
 
-def test_a_replay_is_paused_and_hurried(
-    page: Any, browser: Any, node: Callable[..., Process], tmp_path: Path
-) -> None:
-    session = write_session(tmp_path / "hours", counted(3600))
-    browser.open(page.url)
+def test_a_replay_is_paused_and_hurried(browser: Any, node: Callable[..., Process], tmp_path: Path) -> None:
+    session = write_session(tmp_path / "hour", counted(3600))
     assert browser.button("Pause") is None
     player = node("player", f"session:={session}", "rate:=10.0")
     browser.wait_for(lambda: "playing: " in browser.text, "the player")
@@ -492,14 +510,10 @@ def test_a_replay_is_paused_and_hurried(
     browser.click("50 ×")  # at 200 × a busy browser would not find the button "max" before the end
     browser.wait_for(lambda: "50 × recorded speed" in browser.text, "the speed")
     browser.click("Continue")
-    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] > stands + 300, "five minutes more")
+    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] > stands + 100, "much more")
     browser.click("max")
     assert player.wait() == 0
     browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
     browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
     browser.wait_for(lambda: "the replay has ended" in browser.text, "that this was the end")
-    time.sleep(6.0)  # longer than a node or a sample may keep silent
-    assert "the replay has ended" in browser.text
-    assert "silent" not in browser.text
-    assert "no sample for" not in browser.text
     assert browser.warnings() == []

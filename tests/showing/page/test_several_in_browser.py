@@ -39,11 +39,11 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
 ) -> None:
     with listening() as listener:
         graph = Graph(listener.node)
-        started = page_process("--control")
-        browser.open(started.url)
-        for name in ("plant/sample", "twin/state", "twin/model_score", "plant/estimate"):
-            browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
         graph.describe(TCLabBoth)
+        started = page_process("--control")
+        for name in ("plant/description", "plant/sample", "twin/state", "twin/model_score", "plant/estimate"):
+            browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
+        browser.open(started.url)
         browser.wait_for(lambda: "temperature T2 / °C" in browser.text, "the plant's own words")
         graph.session(two.samples[-200:], two)
         (course,) = two.estimates

@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from pypdf import PdfReader
 
 from tests.support.places import CHROMIUM
 from tests.support.processes import run_twinmatch
@@ -16,45 +17,36 @@ from tests.support.steps import quarter_of_an_hour
 from twinmatch.sessions import write_session
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Written with its figures beside it."""
-    folder = tmp_path_factory.mktemp("report")
-    session = write_session(folder / "quarter", quarter_of_an_hour()[:400])
-    completed = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
+def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:
+    """Of a session too short for a twin, whose report is soon made."""
+    session = write_session(tmp_path / "minute", quarter_of_an_hour()[:60])
+    completed = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=tmp_path)
     assert completed.returncode == 0, completed.stderr
-    assert completed.stdout.startswith("Leader: ")
-    assert "report: quarter.html" in completed.stdout
-    return folder / "quarter.html"
-
-
-def test_report_and_figures_are_written_and_named(report: Path) -> None:
-    from pypdf import PdfReader
-
-    assert "twinmatch report" in report.read_text(encoding="utf-8")
-    figures = {path.name: PdfReader(path) for path in (report.parent / "figures").iterdir()}
-    assert figures.keys() >= {"session.pdf", "nu_gap.pdf"}
+    assert completed.stdout.startswith("No twin to trust yet")
+    assert "report: minute.html" in completed.stdout
+    assert "figures: 2 PDF files in figures" in completed.stdout
+    assert "twinmatch report" in (tmp_path / "minute.html").read_text(encoding="utf-8")
+    figures = {path.name: PdfReader(path) for path in (tmp_path / "figures").iterdir()}
+    assert figures.keys() == {"session.pdf", "health.pdf"}
     assert all(len(figure.pages) == 1 for figure in figures.values())
 
 
 def without_most_drawings(document: str) -> str:
-    """All but the last two pictures empty, of the same size: a PDF with all their lines is read slowly."""
+    """All drawings but the last empty, of the same size: a PDF with all their lines is read slowly."""
     pictures = re.findall(r"data:image/svg\+xml;base64,([^\"]+)", document)
-    for coded in pictures[:-2]:
+    for coded in pictures[:-1]:
         empty = re.sub(rb"(<svg[^>]*>).*(</svg>)", rb"\1\2", base64.b64decode(coded), flags=re.DOTALL)
         document = document.replace(coded, base64.b64encode(empty).decode())
     return document
 
 
-def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
-    from pypdf import PdfReader
-
+def test_it_prints_on_numbered_a4_pages(shipped_page: str, tmp_path: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
     places = (f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={tmp_path / 'report.pdf'}")
     printed = tmp_path / "report.html"
-    printed.write_text(without_most_drawings(report.read_text(encoding="utf-8")), encoding="utf-8")
+    printed.write_text(without_most_drawings(shipped_page), encoding="utf-8")
     command = [chromium, "--headless=new", *CHROMIUM, "--no-pdf-header-footer", *places, printed.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages

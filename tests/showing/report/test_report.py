@@ -270,18 +270,6 @@ def test_figures_are_written_as_pictures_too(shipped: SessionReport, tmp_path: P
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_names_from_files_are_shown_and_not_run(tmp_path: Path) -> None:
-    """A session may be called anything; none of it becomes markup."""
-    name = "a<script>alert(1)<"
-    window = Window([30.0] * 30, [30.0] * 30, [10.0] * 30)
-    session = write_session(tmp_path / name, samples_of(window))
-    text = make_report(session, command="x & y").html()
-    document = parse(text)
-    assert not list(document.all("script"))
-    assert next(document.all("h1")).text.endswith(name)
-    assert "x &amp; y" in text
-
-
 # Sessions out of the ordinary
 
 
@@ -290,27 +278,36 @@ def simulated(reference: np.ndarray, **changes: float) -> Window:
 
 
 @pytest.mark.parametrize(
-    ("reference", "words"),
-    [
-        (np.full(3, 30.0), "There was no set-point step"),
-        (np.full(200, 40.0), "There was no set-point step"),
-        (np.repeat([30.0, 50.0], 45), "There was no set-point step"),
-    ],
-    ids=["three samples", "no step", "too short"],
+    "reference",
+    [np.full(200, 40.0), np.repeat([30.0, 50.0], 45)],
+    ids=["no step", "too short"],
 )
-def test_a_session_without_a_verdict_says_so(reference: np.ndarray, words: str, tmp_path: Path) -> None:
+def test_a_session_without_a_verdict_says_so(reference: np.ndarray, tmp_path: Path) -> None:
     session = write_session(tmp_path / "short", samples_of(simulated(reference)))
     report = make_report(session)
     document = parse(report.html())
-    assert words in next(document.all("main")).text
+    assert "There was no set-point step" in next(document.all("main")).text
     assert "No twin to trust yet" in next(document.all("header")).text
     assert "unknown" in next(document.all("header")).text
     assert set(report.pictures) == {"session", "health"}
 
 
+def test_names_from_files_are_shown_and_not_run(tmp_path: Path) -> None:
+    """A session of three samples, without a verdict, may be called anything; none of it becomes markup."""
+    name = "a<script>alert(1)<"
+    session = write_session(tmp_path / name, samples_of(simulated(np.full(3, 30.0))))
+    text = make_report(session, command="x & y").html()
+    document = parse(text)
+    assert not list(document.all("script"))
+    assert next(document.all("h1")).text.endswith(name)
+    assert "x &amp; y" in text
+    assert "There was no set-point step" in next(document.all("main")).text
+    assert "No twin to trust yet" in next(document.all("header")).text
+
+
 def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> None:
     """Somebody warms and cools the plate by 2 °C: no parameters explain that, and no fault shows."""
-    reference = np.repeat([30.0, 60.0, 30.0], [60, 260, 260])
+    reference = np.repeat([30.0, 60.0], [60, 260])
     window = simulated(reference)
     temperature = window.output + 2.0 * np.sin(np.arange(reference.size) / 15.0)
     samples = samples_of(Window(reference, temperature, window.input))

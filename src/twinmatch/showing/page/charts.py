@@ -159,6 +159,19 @@ if (window.innerWidth < 600) {
     for (const axis of axes) axis.ticker.desired_num_ticks = 3
 }
 """
+_DRAW_IN_VIEW = """
+const watch = new IntersectionObserver((entries) => {
+    for (const {target, isIntersecting} of entries) {
+        chart_at.get(target).setv({hold_render: !isIntersecting}, {sync: false})
+    }
+}, {rootMargin: "50px"})
+const chart_at = new Map(charts.map((chart) => [Bokeh.index.get_one(chart).el, chart]))
+for (const element of chart_at.keys()) watch.observe(element)
+window.addEventListener("beforeprint", () => {
+    for (const chart of charts) chart.setv({hold_render: false}, {sync: false})
+})
+"""
+"""In the browser: a chart is drawn only while it is on the screen or close to it, and for printing."""
 _WRAP_LEGEND = """
 const pen = document.createElement("canvas").getContext("2d")
 pen.font = `${legend.label_text_font_size} ${legend.label_text_font}`
@@ -185,6 +198,11 @@ def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             edges[f"{name}_high"] = BAND * columns[name]
             edges[f"{name}_low"] = -BAND * columns[name]
     return edges
+
+
+def draw_in_view(charts: Sequence[Any]) -> CustomJS:
+    """In the browser: draw these charts only where somebody can see them."""
+    return CustomJS(args={"charts": charts}, code=_DRAW_IN_VIEW)
 
 
 class LoopCharts:
@@ -323,6 +341,12 @@ class TimeCharts:
         """In the browser: on a narrow screen the time axes have fewer ticks."""
         axes = [chart.xaxis[0] for chart in self.figures]
         return CustomJS(args={"axes": axes}, code=_FEWER_TICKS)
+
+    @property
+    def outside_time(self) -> list[Any]:
+        """The figures that are not needed to know what time the axis shows: all but those of the outputs."""
+        outputs = [loop_charts.output for loop_charts in self._loops]
+        return [chart for chart in self.figures if chart not in outputs]
 
     def span(self, seconds: float) -> None:
         """Show the newest `seconds`."""

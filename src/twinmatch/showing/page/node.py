@@ -49,7 +49,7 @@ ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=Reliab
 """The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0
 """Seconds between checks for a new verdict, after which the session is summarised again."""
-POLL = 0.05
+POLL = 0.1
 """Seconds between checks for requests of the page."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ from bokeh.models import Button, CustomJS, Div, NumericInput, RadioButtonGroup, 
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.showing.page import panels
-from twinmatch.showing.page.charts import ChartFeed, TimeCharts, bands, seconds_ahead
+from twinmatch.showing.page.charts import ChartFeed, TimeCharts, bands, draw_in_view, seconds_ahead
 from twinmatch.showing.page.health import PlayerState
 from twinmatch.showing.page.heatmaps import GapMatrix, ThermalImage
 from twinmatch.showing.page.state import DashboardState
@@ -118,6 +119,8 @@ def rig_form(requests: Requests, label: str) -> Row:
 
 REFRESH = 350
 """Milliseconds between two updates of a tab."""
+IMAGE_EVERY = 1.0
+"""Least seconds between two thermal images of a tab; a camera sends nine a second."""
 _RELOAD_WHEN_BACK = """
 const come_back = async () => {
     try {
@@ -140,9 +143,10 @@ class Tab:
         """Show a state; `clock` is the one that its times are taken from."""
         self._state = state
         self._clock = clock
-        self._plant = ChartFeed(state.plant)
-        self._twin = ChartFeed(state.twin, bands)
-        self._described = described = state.described
+        with state.lock:  # tables and description of the same plant
+            self._plant = ChartFeed(state.plant)
+            self._twin = ChartFeed(state.twin, bands)
+            self._described = described = state.described
         self._charts = TimeCharts(self._plant.source, self._twin.source, described)
         self._matrix = GapMatrix()
         self._thermal = ThermalImage()
@@ -163,6 +167,7 @@ class Tab:
             self._forms.append(rig_form(requests, label))
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
+        self._image_drawn_at = -math.inf  # by the clock, s
 
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
@@ -182,6 +187,8 @@ class Tab:
         document.template_variables.update(shown)
         document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
+        unseen = [*self._charts.outside_time, self._matrix.figure, self._thermal.figure]
+        document.js_on_event("document_ready", draw_in_view(unseen))
         document.js_on_event("connection_lost", CustomJS(code=_RELOAD_WHEN_BACK))
         self.update()
         document.add_periodic_callback(self.update, REFRESH)
@@ -199,8 +206,7 @@ class Tab:
             self._update_texts(now)
             self._update_happened()
             self._update_family()
-            if self._changed("image", state.images) and state.image is not None:
-                self._thermal.update(state.image)
+            self._draw_image(now)
             self._player.update(state.nodes.player)
             if self._changed("described", state.described) and state.described != self._described:
                 self._texts["status"].tags = [state.described.plant]  # reloads the page, with these names
@@ -245,6 +251,15 @@ class Tab:
             self._charts.draw_forecasts(forecast, what_if, state.period, most)
             self._charts.span(span if forecast is None else span + most)
             self._show("answer", panels.goal(state) + panels.what_if(state.what_if))
+
+    def _draw_image(self, now: float) -> None:
+        """Show the newest thermal image, unless the one before has only just been drawn."""
+        image = self._state.image
+        if image is None or now < self._image_drawn_at + IMAGE_EVERY:
+            return
+        if self._changed("image", self._state.images):
+            self._thermal.update(image)
+            self._image_drawn_at = now
 
     def _update_texts(self, now: float) -> None:
         state = self._state

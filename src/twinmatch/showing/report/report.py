@@ -159,15 +159,15 @@ class JudgedSession:
         return one_of_each("output", self.tests)
 
 
-def judge_for_report(path: Path) -> JudgedSession:
-    """Judge a session, an `.mcap` file or a recording for a report, with the parameters and initial
-    candidates recorded with it, otherwise the defaults.
+def judge_for_report(path: Path, config: Path | None = None) -> JudgedSession:
+    """Judge a session, an `.mcap` file or a recording for a report, with the parameters of a file, or those
+    and the initial candidates recorded with it, otherwise the defaults.
 
     Raises:
         TwinmatchError: the file cannot be used.
     """
     session = open_any(path)
-    return _judge(session, *_terms(session))
+    return _judge(session, *_terms(session, config))
 
 
 def _terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> tuple[Terms, str]:
