@@ -450,12 +450,17 @@ def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end(
 def test_an_interrupt_before_an_inner_block_takes_effect_in_it() -> None:
     """A command holds interrupts from its start on, and the judging that it calls holds them again."""
     reached = []
-    with pytest.raises(KeyboardInterrupt), held_interrupts():
-        signal.raise_signal(signal.SIGINT)
-        with held_interrupts() as check:
-            reached.append("inner")
-            check()
-            reached.append("not reached")
+
+    def work() -> None:
+        with held_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            with held_interrupts() as check:
+                reached.append("inner")
+                check()
+                reached.append("not reached")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
     assert reached == ["inner"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

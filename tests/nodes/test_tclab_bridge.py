@@ -137,9 +137,7 @@ DOUBTS: dict[str, tuple[tuple[str, ...], list[float], list[tuple[str, str, Any]]
 
 
 @pytest.mark.parametrize("heaters", DOUBTS)
-def test_doubt_is_zero_and_latches_until_cleared(
-    start: Start, rig: Rig, kit: BenchKit, heaters: str
-) -> None:
+def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, kit: BenchKit, heaters: str) -> None:
     words, sent, doubts = DOUBTS[heaters]
     bridge(start, kit, *words)
     shown = dict(kit.shown)

@@ -3,8 +3,8 @@
     launched.py -m MODULE [ARGUMENT ...]
     launched.py SCRIPT [ARGUMENT ...]
 
-For tests, which fork the program itself: what a graph imports is in this process already, so its fork server is
-forked from it. If that one is killed, the next imports, as in a program that was not forked;
+For tests, which fork the program itself: what a graph imports is in this process already, so its fork server
+is forked from it. If that one is killed, the next imports, as in a program that was not forked;
 tests/launching/test_forking.py tests those.
 """
 
