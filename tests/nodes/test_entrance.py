@@ -384,9 +384,9 @@ ANYTHING = {Trigger.Request, SetBool.Request, GetParameterTypes.Request, Describ
 """Requests of which nothing is expected."""
 OF_RCLPY = "get_type_description"
 """A service that rclpy answers outside Python."""
-EACH = 40
+EACH = 15
 """Messages of nonsense for each topic and service."""
-MALFORMED = int(os.environ.get("TWINMATCH_FUZZ", "300"))
+MALFORMED = int(os.environ.get("TWINMATCH_FUZZ", "120"))
 """Malformed messages for each program."""
 
 
