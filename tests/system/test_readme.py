@@ -274,7 +274,7 @@ def test_the_demo_ends_with_a_report_and_a_second_one_starts_from_it(
     baselines; what the first has learned is trusted a minute after the second begins."""
     shipped = (PROJECT / "config" / "demo.yaml").read_text("utf-8")
     reports = []
-    for holds in ("60.0, 200.0, 200.0, 40.0", "60.0, 200.0, 10.0, 10.0"):
+    for holds in ("60.0, 200.0, 200.0, 200.0", "60.0, 200.0, 10.0, 10.0"):
         config = shipped
         for name, values in (("levels", "30.0, 50.0, 40.0, 60.0"), ("holds", holds)):
             config, replaced = re.subn(rf"(profile\.{name}: ).*", rf"\g<1>[{values}]", config)
