@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-
 _NEW_MOUNTS = 0x00020000
 """CLONE_NEWNS of linux/sched.h."""
 
