@@ -42,8 +42,8 @@ def held_interrupts() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C; the yielded function raises the deferred `KeyboardInterrupt`, if any.
 
     Python may raise it while a compiled loop converts its arguments or its result, where it is not handled:
-    the loop then fails with another error, or the process crashes. A block inside another one defers for both,
-    so the function of the inner one also raises a Ctrl-C from before it began.
+    the loop then fails with another error, or the process crashes. A block inside another one defers for
+    both, so the function of the inner one also raises a Ctrl-C from before it began.
     """
     if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
         yield _DeferredInterrupt().check
