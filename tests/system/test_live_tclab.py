@@ -35,6 +35,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
         "controller:\n  ros__parameters:\n"
         "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [15.0, 115.0, 20.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
+        "    command_period: 0.5\n"  # the kit waits at each
     )
     twin = tmp_path / "twin.yaml"
     session = tmp_path / "run"
@@ -64,7 +65,7 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processe
         config=PROJECT / "config" / "tclab_both.yaml",
         virtual=VirtualPlan(math.inf, plant="tclab-both"),
         overrides={f"controller:profile.{name}": value for name, value in overrides.items()}
-        | {"controller:exit_at_end": "true"},
+        | {"controller:exit_at_end": "true", "controller:command_period": "0.5"},
         plant="tclab-both",
     )
     assert plan.virtual is not None
