@@ -42,7 +42,10 @@ def _rig(at: int) -> Parameters:
 
 def run(quick: bool) -> list[Row]:
     judged = run_on(recorded(320 if quick else HOUR), quick)
-    return judged + _growth(quick) + _full_verdict(quick) + _one_sample(quick)
+    before_a_verdict = _before_a_verdict()
+    judged += _growth(quick)
+    judged += _full_verdict(*before_a_verdict, quick)
+    return judged + _one_sample(*before_a_verdict, quick)
 
 
 def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
@@ -74,9 +77,8 @@ def _growth(quick: bool) -> list[Row]:
     ]
 
 
-def _full_verdict(quick: bool) -> list[Row]:
+def _full_verdict(ready: Discriminator, sample: Sample, report: MatchReport, quick: bool) -> list[Row]:
     """A full verdict: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
-    ready, sample, report = _before_a_verdict()
 
     def judge() -> tuple[Verdict, ...]:
         discriminator = copy.deepcopy(ready)
@@ -90,9 +92,8 @@ def _full_verdict(quick: bool) -> list[Row]:
     return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
 
 
-def _one_sample(quick: bool) -> list[Row]:
-    """A sample between two triggers, until the outlooks of all candidates are there."""
-    ready, sample, report = _before_a_verdict()
+def _one_sample(ready: Discriminator, sample: Sample, report: MatchReport, quick: bool) -> list[Row]:
+    """A sample between two triggers, until the outlooks of all candidates are there; `ready` moves on."""
     ready.push_sample(sample)
     ready.push_match(report)
     count = len(ready.forecaster.names)

@@ -17,6 +17,7 @@ import scipy.io
 from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
+from tests.support.disks import keep_mounts_to_this_process
 from tests.support.durations import Cost, Costs, files_that_grew, processor_seconds
 from tests.support.places import OTHERS, PROJECT, RECORDINGS, TESTS, remove_temporary_folders
 from twinmatch.cli.shared import Progress
@@ -104,6 +105,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    keep_mounts_to_this_process()
     config.pluginmanager.register(Durations())
 
 

@@ -155,7 +155,7 @@ def test_reading_a_long_table_is_reported(
 
 
 class Replayed(NamedTuple):
-    """A replay of the shipped session on a wide terminal."""
+    """A replay of the first half of the shipped session on a wide terminal."""
 
     code: int
     written: str
@@ -168,7 +168,8 @@ class Replayed(NamedTuple):
 def replayed(tmp_path_factory: pytest.TempPathFactory) -> Replayed:
     out = tmp_path_factory.mktemp("replayed")
     files = out / "out.json", out / "verdict.png"
-    run_of_replay = run_on_terminal("replay", SHIPPED, "--json", files[0], "--figure", files[1], width=160)
+    half = write_session(out / "four_setpoints", read_session(SHIPPED).samples[:1010])
+    run_of_replay = run_on_terminal("replay", half, "--json", files[0], "--figure", files[1], width=160)
     return Replayed(*run_of_replay, *files)
 
 
@@ -287,7 +288,7 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence(replayed: Replayed)
     assert re.search(r"\x1b\[[0-9;]*32[0-9;]*m TRUSTED ", written)
     assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1  # the cursor comes back
     lines = stands.splitlines()
-    assert "100 %, 0:33:20 of 0:33:20 h" in lines[0]
+    assert "100 %, 0:16:50 of 0:16:50 h" in lines[0]
     header = next(line for line in lines if line.startswith("candidate"))
     assert header.split() == [
         *("candidate", "°C", "mV/K", "W/K", "J/K", "order", "characters", "nAIC", "BIC", "°C²+PWM²"),
@@ -443,6 +444,24 @@ def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end(
     with pytest.raises(KeyboardInterrupt):
         work(ask=False)
     assert reached == ["held", "held", "end"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_before_an_inner_block_takes_effect_in_it() -> None:
+    """A command holds interrupts from its start on, and the judging that it calls holds them again."""
+    reached = []
+
+    def work() -> None:
+        with held_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            with held_interrupts() as check:
+                reached.append("inner")
+                check()
+                reached.append("not reached")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert reached == ["inner"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

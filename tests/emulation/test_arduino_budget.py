@@ -148,10 +148,10 @@ def test_the_image_as_it_is_flashed_ends_full_drive_after_eight_minutes() -> Non
     [
         ([(255, 9.0)], 2.0),
         ([(-255, 9.0)], 2.0),
-        ([(221, 99.0)], 70.0),
+        ([(230, 6.5), (221, 9.0)], 11.5),  # 65 PWM·s, and 5 more
         ([(-240, 9.0)], 3.5),
-        ([(220, 20.0)], None),
-        ([(-219, 20.0)], None),
+        ([(255, 1.9), (220, 5.0)], None),  # 3.5 are left: a single PWM counted too much would spend them
+        ([(-255, 1.9), (-219, 5.0)], None),
         ([(255, 1.0), (0, 0.16)] * 8, None),  # 35 PWM·s more, 35.2 less
         ([(255, 1.0), (0, 0.1)] * 8, 4.186),  # 35 more, 22 less: 31 are left for the fourth
         ([(255, 0.5), (210, 0.5)] * 8, 5.214),  # 17.5 more, 5 less: 7.5 are left for the sixth

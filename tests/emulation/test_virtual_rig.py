@@ -43,13 +43,13 @@ def test_a_loop_closed_through_port_and_stream_reaches_its_set_point_and_a_pulle
     running = rig("--speed", "20", "--board", BOARD, "--seed", "5")
     assert running.address("board").startswith(BOARD)
     loop = controller(running)
-    last = [tick.temperature for tick in loop.hold(25.0, 60.0)][-15:]
-    # The rig's PID approaches with P/I = 26 s: 60 s leave 0.2 of 2 K. An image's noise is 0.08 K.
-    assert np.mean(last) == pytest.approx(25.0, abs=0.3)
+    last = [tick.temperature for tick in loop.hold(24.0, 42.0)][-10:]
+    # The rig's PID approaches with P/I = 26 s: 42 s leave 0.2 of 1 K. An image's noise is 0.08 K.
+    assert np.mean(last) == pytest.approx(24.0, abs=0.3)
     state = running.state()
     assert 0 < state["speed"] < 21
     # What the eye sees is the plate's mean, a little colder than its middle.
-    assert state["plate"] == pytest.approx(25.0, abs=0.6)
+    assert state["plate"] == pytest.approx(24.0, abs=0.6)
     running.tell("cable-pulled")
     wait_for(lambda: not Path(running.address("serial")).exists(), "the port's end")
     with pytest.raises((PwmPortLostError, PwmPortMissingError)):

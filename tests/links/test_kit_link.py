@@ -17,7 +17,7 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 from tests.support.kits import BenchKit
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
-from twinmatch.links.kit_keeper import open_kit
+from twinmatch.links.kit_keeper import is_pseudo_terminal, open_kit
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilentError, require_port
 
 
@@ -35,6 +35,12 @@ def link(kit: BenchKit) -> Iterator[KitLink]:
     opened.open()
     yield opened
     opened.close()
+
+
+def test_only_a_board_is_given_the_time_to_restart(kit: BenchKit) -> None:
+    assert is_pseudo_terminal(kit.port)  # a link to one
+    assert not is_pseudo_terminal("/dev/ttyACM0")
+    assert not is_pseudo_terminal("/dev/ttyUSB1")
 
 
 def wait_for_both_off(kit: BenchKit) -> None:

@@ -102,7 +102,7 @@ def numbers_of(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
 def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Beside) -> None:
     rig = beside.rig("--stamped")
     beside.sampler(output="/oven/temperature:temperature")
-    beside.wait_for_samples(60)
+    beside.wait_for_samples(30)
     rows_of_rig = {tuple(line) for line in rig.json}
     pairs = numbers_of(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
@@ -269,7 +269,7 @@ def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant:
 def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_length(beside: Beside) -> None:
     rig = beside.rig()
     sampler = beside.sampler()
-    beside.wait_for_samples(60)
+    beside.wait_for_samples(10)
     before = len(beside.pauses)
     rig.freeze()
     begun = time.monotonic()
@@ -278,7 +278,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     rig.thaw()
     frozen = time.monotonic() - begun
     beside.wait_for_word("the loop paused: ticks were missed")
-    beside.wait_for_samples(30)
+    beside.wait_for_samples(10)
     assert len(beside.pauses) == before + 1
     assert beside.pauses[-1] == pytest.approx(frozen / PERIOD, rel=0.2, abs=10)
     rig.kill()
@@ -287,7 +287,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     beside.stand(killed)
     begun = len(beside.samples)
     rig = beside.rig()
-    beside.wait_for_samples(60)
+    beside.wait_for_samples(30)
     assert len(beside.pauses) == before + 2
     assert sampler.running
     # The new rig begins cold, at its first set-point; nothing of the old one is mixed in.
@@ -300,7 +300,7 @@ def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Besi
     """The sampler's own clock, at a period the rig does not have: no tick is one of the rig's."""
     rig = beside.rig()
     beside.sampler(paced_by="timer", period="0.13")
-    beside.wait_for_samples(60)
+    beside.wait_for_samples(20)
     rows_of_rig = rig.json
     readings = {line[1] for line in rows_of_rig}
     commands = [line[2] for line in rows_of_rig]
@@ -312,7 +312,7 @@ def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Besi
 def test_without_a_set_point_there_is_one_that_stands(beside: Beside) -> None:
     beside.rig("--no-set-point")
     beside.sampler(reference="")
-    beside.wait_for_samples(30)
+    beside.wait_for_samples(10)
     assert len({m.reference[0] for m in beside.samples}) == 1
 
 
@@ -323,7 +323,7 @@ def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Bes
     assert not beside.samples
     wrong.end()
     beside.sampler(output="/oven/temperature; unit=K")
-    beside.wait_for_samples(20)
+    beside.wait_for_samples(5)
     assert all(15.0 < m.output[0] < 60.0 for m in beside.samples)
 
 

@@ -15,8 +15,8 @@ from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import EstimatedReading, Forecast, ModelScore, TwinState
 
 pytestmark = pytest.mark.ros
-BEGINS = 700
-"""The sample from which on the sensor is wrong: three matches are before it."""
+BEGINS = 460
+"""The sample from which on the sensor is wrong: two matches are before it."""
 SIZE = BEGINS + 60
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -33,15 +33,10 @@ def test_house_rules_hold(command: list[str]) -> None:
 
 
 def test_a_class_name_means_one_thing() -> None:
-    modules = [
-        ast.parse(path.read_text(encoding="utf-8")) for path in (PROJECT / "src/twinmatch").rglob("*.py")
-    ]
-    names = Counter(
-        statement.name
-        for module in modules
-        for statement in module.body
-        if isinstance(statement, ast.ClassDef)
-    )
+    names = Counter[str]()
+    for path in (PROJECT / "src/twinmatch").rglob("*.py"):
+        names.update(re.findall(r"^class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
+    assert len(names) > 500
     assert [name for name, count in names.items() if count > 1] == []
 
 

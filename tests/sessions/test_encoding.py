@@ -10,7 +10,7 @@ from rclpy.serialization import deserialize_message
 
 from tests.support.places import PROJECT
 from twinmatch.nodes.messages import description_message, message_of
-from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.plants import PLANTS
 from twinmatch.plants.records import description_of
 from twinmatch.record import description_tree, tree_of
@@ -25,14 +25,18 @@ pytestmark = pytest.mark.ros
 def test_matches_and_verdicts_are_the_messages_of_the_graph() -> None:
     """Not compared as bytes: between fields, the middleware leaves whatever was in memory."""
     session = read_session(PROJECT / "bags" / "four_setpoints")
-    judged = judge(session, terms_from_files(session))
-    assert judged.matches
+    samples = session.samples[:610]  # two matches
+    judged = judge_samples("beginning", samples, terms_from_files(session).settings)
+    assert len(judged.matches) == 2
     assert judged.verdicts
-    for record in (*judged.matches, *judged.verdicts):
-        name, kind = ("match", Match) if record in judged.matches else ("model_score", ModelScore)
-        stamp = judged.stamps[record.sample]
-        data = encode(topic_named(f"/twin/{name}"), tree_of(record), stamp)
-        assert repr(deserialize_message(data, kind)) == repr(message_of(record, stamp))
+    for name, kind, records in (
+        ("match", Match, judged.matches),
+        ("model_score", ModelScore, judged.verdicts),
+    ):
+        for record in records:
+            stamp = judged.stamps[record.sample]
+            data = encode(topic_named(f"/twin/{name}"), tree_of(record), stamp)
+            assert repr(deserialize_message(data, kind)) == repr(message_of(record, stamp))
 
 
 @pytest.mark.parametrize("plant", PLANTS)

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+
+_NEW_MOUNTS = 0x00020000
+"""CLONE_NEWNS of linux/sched.h."""
+
+
+def keep_mounts_to_this_process() -> None:
+    """Let what is mounted from now on be seen by this process and those it starts, and vanish with them.
+
+    So nothing stays mounted when a run of tests is killed. Where that is not permitted, no test may mount.
+    """
+    if ctypes.CDLL(None).unshare(_NEW_MOUNTS) == 0:
+        subprocess.run(["mount", "--make-rprivate", "/"], check=True)
 
 
 def fill(disk: Path) -> None:

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +22,18 @@ from twinmatch.launching.forking import Forked, fork_server
 from twinmatch.plants import files
 
 T = TypeVar("T")
+
+
+OUR_SCRIPTS = frozenset(LAUNCH_SCRIPTS.glob("*.py"))
+LAUNCHING_COMMANDS = frozenset(("attach", "demo", "live", "play"))
+LAUNCHED = Path(__file__).with_name("launched.py")
+
+
+def launches_others(words: Sequence[str]) -> bool:
+    """Whether a program, `-m` and a module or a script with its arguments, starts a graph."""
+    if words[:2] == ["-m", "twinmatch.cli"]:
+        return bool(LAUNCHING_COMMANDS.intersection(words[2:3]))
+    return (Path.cwd() / words[0]) in OUR_SCRIPTS
 
 
 class Process:
@@ -48,8 +60,9 @@ class Process:
         self._process: Forked | subprocess.Popen[bytes]
         with output.open("w") as stream:
             if forked:
+                launcher = [str(LAUNCHED)] if launches_others(words[1:]) else []
                 self._process = fork_server().start(
-                    *words[1:], output=stream.fileno(), environment=variables, folder=folder
+                    *launcher, *words[1:], output=stream.fileno(), environment=variables, folder=folder
                 )
                 return
             self._process = subprocess.Popen(
@@ -182,8 +195,6 @@ def kill_once_it_says(word: str, program: str, folder: Path) -> None:
     finally:
         process.kill()
 
-
-OUR_SCRIPTS = frozenset(LAUNCH_SCRIPTS.glob("*.py"))
 
 Start = Callable[..., Process]
 """Starts a node's program with ROS arguments, or a script."""

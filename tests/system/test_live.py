@@ -238,12 +238,12 @@ def forger(listener: Listener, seconds: float) -> Iterator[None]:
 
 
 def forge_samples(listener: Listener) -> int:
-    """Publish a false sample ahead of each of thirty, and stop; the index of the last."""
+    """Publish a false sample ahead of each of twelve, and stop; the index of the last."""
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     listener.spin_until(lambda: heard, "samples")
     assert listener.samples
     first = heard[-1].index
-    while heard[-1].index < first + 30:
+    while heard[-1].index < first + 12:
         forged = copy.deepcopy(heard[-1])
         forged.index += 1
         forged.header.stamp.sec += 60
@@ -280,12 +280,12 @@ def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_sa
             driven, lambda: f"a driven plate: {run.state()}, {applied[-1:]}, {run.text[-2000:]}"
         )
         for seconds in (2e9, 0.0):
-            for _ in range(3):
-                before = run.state()["time"]
-                with forger(listener, seconds):
-                    run.wait_until(lambda before=before: run.state()["time"] > before + 5.0, "plant time")
+            before = run.state()["time"]
+            with forger(listener, seconds):
+                run.wait_until(lambda before=before: run.state()["time"] > before + 5.0, "plant time")
         run.wait_until(lambda: abs(run.state()["pwm"]) > 5, "a driven plate")
         last = forge_samples(listener)
+        wait_for_recorded(run.session, twin__model_score=1)
         assert run.process.end(signal.SIGINT) == 0, run.text
     assert "Traceback" not in run.text
     # Of two samples of one index the twin may take one and the recorder the other.

@@ -33,15 +33,16 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     config = tmp_path / "kit.yaml"
     config.write_text(
         "controller:\n  ros__parameters:\n"
-        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [20.0, 140.0, 40.0]\n"
+        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [15.0, 115.0, 20.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
+        "    command_period: 0.5\n"  # the kit waits at each
     )
     twin = tmp_path / "twin.yaml"
     session = tmp_path / "run"
-    schedule = "{span: 120, min_span: 60, lead: 10}"
+    schedule = "{span: 100, min_span: 60, lead: 10}"
     twin.write_text(f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n")
     words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--twin-config", twin)
-    words += ("--session", session, "--fault", "drive-lost@140")
+    words += ("--session", session, "--fault", "drive-lost@117")
     process = processes.python(LIVE, *words)
     assert process.wait(6 * PATIENCE) == 0, process.text
     verification = verify_session(session)
@@ -52,19 +53,19 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert not any("pwm" in topic for topic in topics)
     begun = re.search(r"drive-lost begins at (\S+) s", process.text)
     assert begun, process.text
-    assert [sample.index for sample in samples] == list(range(200))
+    assert [sample.index for sample in samples] == list(range(150))
     assert "matched on samples" in process.text
     assert "drive-lost: the drive should have moved" in process.text
     assert samples[0].disturbances == (0.0,)
 
 
 def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processes, tmp_path: Path) -> None:
-    overrides = {"repeat": "false", "holds": "[25.0, 10.0, 15.0, 10.0]"}
+    overrides = {"repeat": "false", "holds": "[15.0, 10.0, 10.0, 10.0]"}
     plan = LivePlan(
         config=PROJECT / "config" / "tclab_both.yaml",
         virtual=VirtualPlan(math.inf, plant="tclab-both"),
         overrides={f"controller:profile.{name}": value for name, value in overrides.items()}
-        | {"controller:exit_at_end": "true"},
+        | {"controller:exit_at_end": "true", "controller:command_period": "0.5"},
         plant="tclab-both",
     )
     assert plan.virtual is not None
@@ -85,8 +86,8 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processe
     session = read_session(tmp_path / "run")
     assert session.plant == "tclab-both"
     assert {sample.shape for sample in session.samples} == {(2, 2, 2, 0)}
-    assert [sample.index for sample in session.samples] == list(range(60))
-    assert [session.samples[k].references for k in (0, 25, 35, 50)] == [
+    assert [sample.index for sample in session.samples] == list(range(45))
+    assert [session.samples[k].references for k in (0, 15, 25, 35)] == [
         (35, 35),
         (50, 35),
         (50, 45),

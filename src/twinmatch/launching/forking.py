@@ -107,25 +107,28 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
+def begun_server() -> tuple[socket.socket, Forked | subprocess.Popen[bytes]]:
+    """Start a process that imports and then serves; returns our end of its connection, and the process."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-m", __name__, str(theirs.fileno())],
+            stdin=subprocess.DEVNULL,
+            # Unbuffered, so that a program's lines arrive when they are written.
+            env={**os.environ, **_ONE_THREAD, "PYTHONUNBUFFERED": "1"},
+            pass_fds=[theirs.fileno()],
+            start_new_session=True,
+        )
+    return ours, process
+
+
 class ForkServer:
     """A process that forks programs for this one."""
 
     def __init__(self) -> None:
         """Start it; it imports while this process continues, and ends with it."""
         self._asking = threading.Lock()
-        self._begin()
-
-    def _begin(self) -> None:
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                # Unbuffered, so that a program's lines arrive when they are written.
-                env={**os.environ, **_ONE_THREAD, "PYTHONUNBUFFERED": "1"},
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
-            )
+        self._socket, self._process = begun_server()
 
     def start(
         self, *words: str, output: int, environment: Mapping[str, str], folder: Path | None = None
@@ -145,7 +148,7 @@ class ForkServer:
         with self._asking:
             if self._process.poll() is not None:
                 self._socket.close()
-                self._begin()
+                self._socket, self._process = begun_server()
             _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
@@ -243,8 +246,12 @@ def main() -> None:
     gc.freeze()  # what is shared stays shared
     sys.excepthook = _show
     words = serve(socket.socket(fileno=int(sys.argv[1])))
-    if not words:
-        return
+    if words:
+        run_program(words)
+
+
+def run_program(words: list[str]) -> None:
+    """Run what `python WORDS` would: `-m`, a module and its arguments, or a script and its arguments."""
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)

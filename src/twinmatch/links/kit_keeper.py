@@ -45,6 +45,11 @@ _POSSIBLE = (-60.0, 300.0)
 """Range of its 10-bit converter, °C."""
 
 
+def is_pseudo_terminal(port: str) -> bool:
+    """Whether there is a program at the other end, such as the virtual kit, and no board that restarts."""
+    return os.path.realpath(port).startswith("/dev/pts/")
+
+
 class Kit(tclab.TCLab):
     """The package's class on a given port; the original constructor only searches the USB bus."""
 
@@ -81,7 +86,7 @@ class Kit(tclab.TCLab):
         self.off()  # the package does so with heater 1 only
 
     def connect(self, baud: int) -> None:
-        """Open the port, which restarts the board, and switch heater 1 off, as the package does.
+        """Open the port, which restarts a real board, and switch heater 1 off, as the package does.
 
         The package's own method takes a failed attempt for an open connection, and refuses the next one.
 
@@ -90,7 +95,8 @@ class Kit(tclab.TCLab):
             OSError: the port cannot be opened or used.
         """
         self.sp = serial.Serial(port=self.port, baudrate=baud, timeout=self._RESTART)
-        time.sleep(self._RESTART)
+        if not is_pseudo_terminal(self.port):
+            time.sleep(self._RESTART)
         self.Q1(0)
         self.baud = baud
 
@@ -150,7 +156,7 @@ class Kit(tclab.TCLab):
 
 
 def open_kit(port: str, patience: float = _ANSWER) -> Kit:
-    """The kit on a port, or the first on the USB bus if the port is empty. Takes 2 s.
+    """The kit on a port, or the first on the USB bus if the port is empty. Takes 2 s with a board.
 
     `patience` is the longest wait for an answer, s.
 

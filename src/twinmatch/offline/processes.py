@@ -22,28 +22,43 @@ GARBAGE: Final = 50_000
 """Objects between two collections: imports, fits and figures make many objects and hardly any garbage."""
 
 
+class _DeferredInterrupt:
+    """A handler of SIGINT that keeps the signal until somebody checks for it."""
+
+    def __init__(self) -> None:
+        self._interrupted = threading.Event()
+
+    def __call__(self, *_: object) -> None:
+        self._interrupted.set()
+
+    def check(self) -> None:
+        """Raise the deferred `KeyboardInterrupt`, if any."""
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
+
+
 @contextlib.contextmanager
 def held_interrupts() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C; the yielded function raises the deferred `KeyboardInterrupt`, if any.
 
     Python may raise it while a compiled loop converts its arguments or its result, where it is not handled:
-    the loop then fails with another error, or the process crashes.
+    the loop then fails with another error, or the process crashes. A block inside another one defers for
+    both, so the function of the inner one also raises a Ctrl-C from before it began.
     """
-    interrupted = threading.Event()
-
-    def check() -> None:
-        if interrupted.is_set():
-            raise KeyboardInterrupt
-
     if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
-        yield check
+        yield _DeferredInterrupt().check
         return
-    before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
+    before = signal.getsignal(signal.SIGINT)
+    if isinstance(before, _DeferredInterrupt):
+        yield before.check
+        return
+    deferred = _DeferredInterrupt()
+    signal.signal(signal.SIGINT, deferred)
     try:
-        yield check
+        yield deferred.check
     finally:
         signal.signal(signal.SIGINT, before)
-    check()
+    deferred.check()
 
 
 def cores() -> int:
