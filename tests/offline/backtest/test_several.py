@@ -58,17 +58,17 @@ def test_a_known_plant_is_forecast_to_its_noise() -> None:
 
 
 def test_forecasts_know_nothing_of_later_samples() -> None:
-    whole = heated()
-    changed = heated()
+    whole = heated(1200)
+    changed = heated(1200)
     y = changed.outputs.copy()
-    y[1300:] += 5.0
+    y[1000:] += 5.0
     changed = replace(changed, outputs=y)
     choices = Choices(every=20.0, horizons=(100.0,))
     (before, _), (after, _) = (backtest_each(session(w), Heaters, choices) for w in (whole, changed))
     for forecaster in (LEADER, *PEERS.values()):
         ends_before = ends(before, forecaster, 100.0)
         ends_after = ends(after, forecaster, 100.0)
-        untouched = [k for k in ends_before if k + 50 < 1300]
+        untouched = [k for k in ends_before if k + 50 < 1000]
         assert len(untouched) > 20
         assert [ends_before[k] for k in untouched] == [ends_after[k] for k in untouched]
         assert ends_before != ends_after
@@ -82,10 +82,10 @@ def test_a_session_too_short_to_forecast_is_refused() -> None:
 def test_the_command_shows_every_output(tmp_path: Path) -> None:
     records = {PLANT: {"plant": TCLabBoth.name, "reference": "none"}}
     kit = TCLabBoth.model().typical()
-    u = np.repeat([[30.0, 20.0], [50.0, 20.0], [50.0, 45.0], [20.0, 45.0]], 400, axis=0)
+    u = np.repeat([[30.0, 20.0], [50.0, 20.0], [50.0, 45.0], [20.0, 45.0]], 300, axis=0)
     run = simulate_driven(kit, u, states=begin(kit, [30.0, 28.0]))
     y = run.outputs + 0.1 * np.random.default_rng(2).standard_normal(u.shape)
-    y[1540:, 1] += 5.0
+    y[1140:, 1] += 5.0
     path = tmp_path / "kit"
     card = tmp_path / "card.json"
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
@@ -104,17 +104,17 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     assert (tmp_path / "card_second_temperature.png").is_file()
     (health,) = document["health"]
     (alarm,) = health["alarms"]
-    assert (health["session"], health["samples"]) == ("kit", 1600)
+    assert (health["session"], health["samples"]) == ("kit", 1200)
     assert 0 <= health["unjudged"] < 800
     assert (alarm["fault"], alarm["signal"], alarm["last"]) == ("sensor-drift", "second_temperature", None)
     assert (alarm["size"], alarm["rivals"]) == (pytest.approx(5.0, abs=0.5), [])
-    assert 1538 <= alarm["first"] <= 1540 <= alarm["flagged"] <= 1545
+    assert 1138 <= alarm["first"] <= 1140 <= alarm["flagged"] <= 1145
     assert f"kit: health: sensor-drift from {alarm['first']} s to the end, reported at" in process.stdout
     assert f"{alarm['flagged']} s: {alarm['reason']}" in process.stdout
     (course,) = health["through"]
     assert (course["signal"], course["unit"]) == ("second_temperature", "°C")
-    assert len(course["values"]) == len(course["bands"]) == 1600 - course["first"]
-    assert f"the twin reads through temperature T2 from {course['first']} to 1599 s" in process.stdout
+    assert len(course["values"]) == len(course["bands"]) == 1200 - course["first"]
+    assert f"the twin reads through temperature T2 from {course['first']} to 1199 s" in process.stdout
     assert (tmp_path / "card_health.png").is_file()
     refused = run_twinmatch("backtest", path, "--config", "config/twin.yaml")
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
