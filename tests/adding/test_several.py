@@ -156,14 +156,15 @@ def test_a_set_point_is_not_an_input(tmp_path: Path, title: str) -> None:
 
 def one_loop(path: Path, kind: str) -> Path:
     """A heater's log: `limits` reaches 101, `gap` has a pause, `pace` slows down at rest, `fine` is fine."""
-    u = held([0, 60, 20, 101, 40, 0, 70, 30], 2400, 300)
+    size = 2400 if kind == "fine" else 900
+    u = held([0, 60, 101], size, 300)
     y = lagged(20 + 0.5 * u, 120.0, 20.0, 5)
-    time = np.arange(2400.0)
-    kept = np.ones(2400, dtype=np.bool_)
+    time = np.arange(float(size))
+    kept = np.ones(size, dtype=np.bool_)
     if kind == "gap":
-        kept[1500:1700] = False
+        kept[560:700] = False
     elif kind == "pace":
-        kept = (np.arange(2400) % 300 < 150) | (np.arange(2400) % 20 == 0)
+        kept = (np.arange(size) % 300 < 150) | (np.arange(size) % 20 == 0)
     elif kind == "fine":
         time = time / 10.0
         u = held([0, 60, 20], 2400, 800)

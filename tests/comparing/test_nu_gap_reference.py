@@ -149,9 +149,16 @@ def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
     ]
 
 
-@pytest.mark.parametrize("discrete", [False, True])
-@pytest.mark.parametrize("nudge", [None, 1e-3, 1e-8])
-@pytest.mark.parametrize("order", [1, 2, 3, 5, 10])
+@pytest.mark.parametrize(
+    ("order", "nudge", "discrete"),
+    [
+        (1, None, False), (1, 1e-8, True),
+        (2, 1e-3, False), (2, None, True),
+        (3, 1e-8, False), (3, 1e-3, True),
+        (5, None, False), (5, 1e-8, True),
+        (10, 1e-3, False), (10, 1e-8, True), (10, None, True),
+    ],
+)  # fmt: skip
 def test_gaps_of_random_models_are_exact_to_twelve_digits(
     order: int, nudge: float | None, discrete: bool
 ) -> None:
@@ -169,7 +176,7 @@ def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
     """First and second order, half of them unstable: both verdicts have to occur often."""
     rng = np.random.default_rng(11)
     failures = 0
-    for _ in range(60):
+    for _ in range(40):
         order = int(rng.integers(1, 3))
         p1, p2 = ([(rng.normal(size=order), np.poly(rng.normal(0, 1, order)))] for _ in range(2))
         g1, g2 = (GraphSymbol.of_transfer_functions(p, 0.0) for p in (p1, p2))
@@ -177,7 +184,7 @@ def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
             expected = winds(p1, p2, False)
         assert (nu_gap(g1, g2) == 1.0) == expected
         failures += expected
-    assert 15 < failures < 45
+    assert 10 < failures < 30
 
 
 def on_the_boundary(rng: np.random.Generator, discrete: bool, order: int) -> Fractions:
@@ -226,11 +233,11 @@ def test_every_failing_of_the_winding_condition_is_found(outputs: int, discrete:
     """With small gains distances stay below 1 but near a pole, so that mostly the winding makes a 1."""
     rng = np.random.default_rng(7 * outputs + discrete)
     failures = 0
-    for k in range(32):
+    for k in range(16):
         p1, p2 = (balanced(rng, 1 + k % 4, discrete, outputs) for _ in range(2))
         g1, g2 = (GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2))
         with mp.workdps(30):
             expected = winds(p1, p2, discrete)
         assert (nu_gap(g1, g2) == 1.0) == expected
         failures += expected
-    assert 8 <= failures <= 28
+    assert 4 <= failures <= 14

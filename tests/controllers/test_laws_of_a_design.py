@@ -30,7 +30,7 @@ from twinmatch.sessions import read_session, write_session
 from twinmatch.signals import FloatArray, Sample
 
 DELAY = 3
-LAWS = 10
+LAWS = 4
 LEVEL = np.array([48.0, 42.0])
 
 
@@ -79,9 +79,9 @@ def _rest(u: FloatArray) -> FloatArray:
 
 
 def recorded(folder: Path) -> Ground:
-    """An open-loop recording of an hour and a quarter."""
+    """An open-loop recording of fifty minutes."""
     rng = np.random.default_rng(8)
-    u = np.repeat(rng.choice([20.0, 40.0], (15, 2)), 300, axis=0)
+    u = np.repeat(rng.choice([20.0, 40.0], (10, 2)), 300, axis=0)
     x, _ = rest_at_level(np.array([40.0, 35.0]))
     samples = []
     for k, command in enumerate(u):
@@ -151,7 +151,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Design, Cont
     references = np.tile(LEVEL, (60, 1))
     design_answers = []
     for design in designs(LAWS):
-        question = ControllerQuestion(design.law, references, LEVEL, ground.holding, draws=125)
+        question = ControllerQuestion(design.law, references, LEVEL, ground.holding, draws=25)
         design_answers.append((design, try_controller(twins, question)))
     return design_answers
 

@@ -323,7 +323,7 @@ def plain_errors(x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(lfilter(d, c, y - w, zi=x[10:12])[0])
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_no_plain_search_finds_a_lower_loss(seed: int) -> None:
     u, y = recorded(250, seed, skip=60)
     rng = np.random.default_rng(seed)

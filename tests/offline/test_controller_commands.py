@@ -48,7 +48,7 @@ def judged_once(members_of: Callable[..., tuple[TriedTwin, ...]]) -> Iterator[No
 def test_try_controller_has_an_exit_code_for_each_decision(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Three laws, three exit codes; the answer as JSON, and as a figure."""
+    """Two laws and a file that is not there; the answer as JSON, and as a figure. One that fails is below."""
     out = tmp_path / "answer.json"
     figure = tmp_path / "answer.svg"
     base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
@@ -64,8 +64,6 @@ def test_try_controller_has_an_exit_code_for_each_decision(
     assert figure.read_text("utf-8").count("<svg") == 1
     assert main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))]) == 3
     assert "undecided: unstable in " in capsys.readouterr().out
-    assert main([*base, "--loop", str(law_file(tmp_path, proportional=600, integral=10))]) == 1
-    assert "law.json: fails on " in capsys.readouterr().out
     assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
     assert "cannot be read" in capsys.readouterr().err
 
@@ -77,18 +75,18 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     out = tmp_path / "course.json"
     figure = tmp_path / "course.svg"
     base = ["experiment", str(SHIPPED)]
-    assert main([*base, "--minutes", "3", "--json", str(out), "--figure", str(figure)]) == 0
+    assert main([*base, "--minutes", "2", "--json", str(out), "--figure", str(figure)]) == 0
     first, *course_lines = capsys.readouterr().out.splitlines()
     assert re.match(r"hold temperature \d+ °C for .* characters for structure are expected", first)
     assert [line.split(":")[0].strip() for line in course_lines] == ["proposed", "step", "PRBS", "nothing"]
     document = json.loads(out.read_text("utf-8"))
     course = document["courses"][0]
     assert document["goal"] == "structure"
-    assert len(course["levels"][0]) <= 180
+    assert len(course["levels"][0]) <= 120
     assert course["characters"] > max(rival["characters"] for rival in document["courses"][1:])
     assert figure.read_text("utf-8").count("<svg") == 1
     undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
-    assert main([*base, "--minutes", "2", "--for", "controller", *undecided]) == 0
+    assert main([*base, "--minutes", "1", "--for", "controller", *undecided]) == 0
     assert "characters for controller are expected" in capsys.readouterr().out
     for options, words in {
         ("--for", "controller"): "--for controller and --loop FILE belong together",
@@ -159,13 +157,15 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
         "--loop",
         str(law),
         "--draws",
-        "25",
+        "10",
         "--set",
         "temperature=75@60",
     ]
     assert main(command) == 0
     assert main([*command, "--memory", str(path)]) == 1
-    assert "first on remembered: session run_2" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "law.json: fails on " in printed
+    assert "first on remembered: session run_2" in printed
 
 
 def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
@@ -223,7 +223,7 @@ def test_later_answers_are_as_wide_as_the_record_asks_for(
     memory = Memory(tmp_path / "rig.sqlite")
     for k, measured in enumerate((5.2, 4.1, 8.0)):
         memory.add_comparison(comparison(k, measured=measured))
-    command = ["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), "--draws", "25"]
+    command = ["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), "--draws", "10"]
     command += ["--set", "temperature=75@60", "--json", str(out)]
     assert main([*command, "--memory", str(memory.path)]) == 0
     assert json.loads(out.read_text("utf-8"))["widening"] == pytest.approx(3.0)

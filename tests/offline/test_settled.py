@@ -42,7 +42,7 @@ def test_one_spike_changes_no_fit_and_no_stretch() -> None:
     assert judgement.summary.fit_y == pytest.approx(window_fit(leader, without, None)[0], abs=1e-3)
 
 
-@pytest.mark.parametrize("lost", [(), range(TAUGHT - 1, TAUGHT + 2), (SPIKE - 1, SPIKE + 1), range(300, 330)])
+@pytest.mark.parametrize("lost", [(), range(TAUGHT - 1, TAUGHT + 2), (SPIKE - 1, SPIKE + 1)])
 def test_every_door_settles_as_the_discriminator_did(lost: Sequence[int]) -> None:
     """Also where the sample of the first nominal twin is itself a stand-in."""
     samples = untaught.spiked(lost)

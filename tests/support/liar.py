@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from tests.support.faulty_rig import CAMERA, RICH_RIG
+from tests.support.watched import copied
 from twinmatch.dynamics import Controller, Law, Parameters, Sensor, advance, begin, law_of, read, readings
 from twinmatch.nodes.gated import ClockTimes, GatedNode, OutputGate
 from twinmatch.nodes.pwm_bridge import PwmBridge
@@ -125,43 +127,87 @@ class Ending:
     """Seconds in which less than the command passed."""
 
 
-def lie_to(  # noqa: PLR0917 (a case of the table)
-    bench: Bench, guard: OutputGuard, plant: Parameters, references: Sequence[float], lie: Lie | None = None,
-    seed: int = 0, begins: int = BEGINS,
-) -> Ending:  # fmt: skip
-    """Run the loop over set-points, a second each, with a guard that decides twice a second."""
-    size = len(references)
-    absolute = bench.typical.model.plant.output.absolute
-    realised = bench.sensor.realise(size, 1.0, seed)
-    controller = Controller(bench.loop)
-    states = begin(plant, plant["ambient"] - absolute)
-    true = list[float]()
-    ending = Ending()
-    measured = 0.0
-    applied = math.inf
-    for k, reference in enumerate(references):
-        true.append(read(plant, states))
-        reported = true[-1] if lie is None or k < begins else lie(k - begins, true)
-        measured = measured if realised.frozen[k] and k else reported + float(realised.noise[k])
-        command = controller.step(float(reference), measured)[0]
-        if lie is None or k >= begins:
-            ending.highest = max(ending.highest, true[-1])
+class GuardedLoop:
+    """A plant in its loop behind a guard, which decides twice a second, with a sensor that may lie."""
+
+    def __init__(  # noqa: PLR0917 (a case of the table)
+        self, bench: Bench, guard: OutputGuard, plant: Parameters, size: int, seed: int, begins: int
+    ) -> None:
+        """Begin cold; the sensor lies from the second `begins` on, of at most `size`."""
+        self._guard = guard
+        self._plant = plant
+        self._begins = begins
+        self._sensor = bench.sensor.realise(size, 1.0, seed)
+        self._controller = Controller(bench.loop)
+        self._states = begin(plant, plant["ambient"] - bench.typical.model.plant.output.absolute)
+        self._true = list[float]()
+        self._measured = 0.0
+        self._applied = math.inf
+        self.ending = Ending()
+
+    def run(self, references: Sequence[float], lie: Lie | None) -> Ending:
+        """Run on over set-points, a second each, to their end or the guard's word."""
+        for reference in references:
+            self._second(reference, lie)
+            if self._is_over(lie):
+                break
+        return self.ending
+
+    def _second(self, reference: float, lie: Lie | None) -> None:
+        k = len(self._true)
+        guard = self._guard
+        ending = self.ending
+        self._true.append(read(self._plant, self._states))
+        is_true = lie is None or k < self._begins
+        reported = self._true[-1] if is_true or lie is None else lie(k - self._begins, self._true)
+        if not (self._sensor.frozen[k] and k):
+            self._measured = reported + float(self._sensor.noise[k])
+        measured = self._measured
+        command = self._controller.step(float(reference), measured)[0]
+        if lie is None or k >= self._begins:
+            ending.highest = max(ending.highest, self._true[-1])
         for half in (0.0, 0.5):
             time = k + half
             guard.command(command, time)
             guard.temperature(measured, time)
             # As the controller's samples: they have what was applied.
-            guard.loop(reference, measured, command if guard.limited is None else min(command, applied), time)
-            applied = guard.output(time)
-            states = advance(plant, states, applied, 0.5)
-        ending.limited += guard.fault is None and applied < command
+            passed = command if guard.limited is None else min(command, self._applied)
+            guard.loop(reference, measured, passed, time)
+            self._applied = guard.output(time)
+            self._states = advance(self._plant, self._states, self._applied, 0.5)
+        ending.limited += guard.fault is None and self._applied < command
         if guard.fault is not None and ending.fault is None:
             ending.fault = guard.fault
-            ending.after = k - begins
-        ended = ending.fault is not None and k > begins + (ending.after or 0) + 30
-        if ended or (lie is not None and ending.limited > LIMITED):
-            break
-    return ending
+            ending.after = k - self._begins
+
+    def _is_over(self, lie: Lie | None) -> bool:
+        k = len(self._true) - 1
+        ending = self.ending
+        ended = ending.fault is not None and k > self._begins + (ending.after or 0) + 30
+        return ended or (lie is not None and ending.limited > LIMITED)
+
+
+def lie_to(  # noqa: PLR0917 (a case of the table)
+    bench: Bench, guard: OutputGuard, plant: Parameters, references: Sequence[float], lie: Lie | None = None,
+    seed: int = 0, begins: int = BEGINS,
+) -> Ending:  # fmt: skip
+    """Run a loop from its beginning over set-points, a second each."""
+    return GuardedLoop(bench, guard, plant, len(references), seed, begins).run(references, lie)
+
+
+@cache
+def held_without_a_lie(bench: Bench, set_point: float) -> GuardedLoop:
+    """A loop that has held a set-point until its sensor begins to lie, and may run on in a copy."""
+    loop = GuardedLoop(bench, bench.guard(), bench.plant(3), 2 * BEGINS, 3, BEGINS)
+    loop.run([set_point] * BEGINS, None)
+    loop.ending = Ending(limited=loop.ending.limited)
+    return loop
+
+
+def lie_on(held_loop: GuardedLoop, lie: Lie, set_point: float, seconds: int) -> Ending:
+    """Let the sensor of such a loop lie for so long."""
+    loop: GuardedLoop = copied(held_loop)
+    return loop.run([set_point] * seconds, lie)
 
 
 def whole_kit(seed: int, spread: float = 0.25) -> Parameters:

@@ -48,10 +48,11 @@ def ending(twin: Twin, verdicts: list[Verdict]) -> tuple[object, ...]:
 
 
 def test_a_reading_that_is_refused_changes_nothing(recorded_hour: Callable[[int], Window]) -> None:
-    """Forecasts are saved at 600 and 1800; the drive is lost from 2235 on."""
-    samples = samples_of(recorded_hour(27))[:2400]
-    instants = (40, 239, 600, 1337, 1800, 2240)
-    twin, verdicts = judged(spiked(samples, {k: samples[k].output + 30.0 for k in instants}))
+    """Of a session that begins in the middle of an hour: forecasts are saved at 1800; the drive is lost from
+    2235 on."""
+    samples = samples_of(recorded_hour(27))[1320:2400]
+    instants = (1360, 1559, 1800, 2037, 2240)
+    twin, verdicts = judged(spiked(samples, {k: samples[k - 1320].output + 30.0 for k in instants}))
     alarms = [
         v.sample for v in verdicts if v.fault == Fault.SENSOR_IMPLAUSIBLE.value and v.fault_since == v.sample
     ]

@@ -132,11 +132,11 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     assert scaled_forecasts.every == 300.0
 
 
-def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> list[Verdict]:
+def watched(plant: type[Plant], lag: float, samples: int, lost: int = 600) -> list[Verdict]:
     """Verdicts on a simulated plant with so many samples in its lag, whose drive is lost at a sample."""
     period = lag / samples
     random = np.random.default_rng(1)
-    u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 40), 25)
+    u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 24), 25)
     truth = plant.model().parameters(gain=2.3)
     acting = np.where(np.arange(u.size) < lost, u, 0.0)
     run = simulate_driven(truth, acting, states=begin(truth, 0.0), period=period)
@@ -159,7 +159,7 @@ def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: in
 
 
 def test_the_lost_drive_of_a_slow_plant_is_named() -> None:
-    named = [v.fault for v in watched(House, 5.0 * CLOCK, 20, lost=700) if v.fault]
+    named = [v.fault for v in watched(House, 5.0 * CLOCK, 20, lost=500) if v.fault]
     assert named[0] == "drive-lost"
 
 

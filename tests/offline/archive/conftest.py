@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.offline.archive.replayed import Replayed
+from tests.support.processes import run_twinmatch
 from tests.support.rig import rig, run
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import Window
@@ -39,3 +41,12 @@ def archive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "notes.txt").write_text("no session\n")
     (folder / ".hidden.csv").write_text("nobody means this\n")
     return folder
+
+
+@pytest.fixture(scope="session")
+def replayed(archive_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+    folder = tmp_path_factory.mktemp("replayed")
+    out = folder / "results"
+    table = folder / "all.json"
+    done = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
+    return Replayed(done, out, table.read_text())

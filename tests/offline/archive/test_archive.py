@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from tests.offline.archive.replayed import Replayed
 from tests.support.processes import run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.importing import open_any
@@ -45,18 +46,18 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
-    archive_folder: Path, tmp_path: Path
+    archive_folder: Path, replayed: Replayed, tmp_path: Path
 ) -> None:
     out = tmp_path / "results"
-    table = tmp_path / "all.json"
-    result = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
+    shutil.copytree(replayed.out, out)
+    result = replayed.done
     assert result.returncode == 3, result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert "skipped" in result.stderr
     assert "bad.csv" in result.stderr
     assert "2 sessions judged" in result.stdout
 
-    archive_table = json.loads(table.read_text())
+    archive_table = json.loads(replayed.table)
     kept_entries = {
         entry["result"]["session"]: entry for entry in map(json.loads, map(Path.read_text, out.iterdir()))
     }

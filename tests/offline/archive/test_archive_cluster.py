@@ -11,9 +11,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.offline.archive.replayed import Replayed
 from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
@@ -75,19 +77,23 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     return address
 
 
-def test_two_workers_find_what_processes_find(address: str, archive_folder: Path, tmp_path: Path) -> None:
-    outputs = {}
-    for where, choice in (("cluster", ["--scheduler", address]), ("here", ["--jobs", 1])):
-        out = tmp_path / where
-        table = tmp_path / f"{where}.json"
-        process = run_twinmatch("replay", archive_folder, *choice, "--out", out, "--json", table)
-        assert process.returncode == 3, process.stderr
-        assert "bad.csv" in process.stderr
-        assert "Traceback" not in process.stderr
-        results = [json.loads(file.read_text()) for file in sorted(out.iterdir())]
-        outputs[where] = (table.read_text(), results, process.stdout)
-    assert outputs["cluster"] == outputs["here"]
-    assert len(outputs["here"][1]) == 2
+def test_two_workers_find_what_processes_find(
+    address: str, archive_folder: Path, replayed: Replayed, tmp_path: Path
+) -> None:
+    out = tmp_path / "cluster"
+    table = tmp_path / "cluster.json"
+    process = run_twinmatch("replay", archive_folder, "--scheduler", address, "--out", out, "--json", table)
+    assert process.returncode == 3, process.stderr
+    assert "bad.csv" in process.stderr
+    assert "Traceback" not in process.stderr
+    assert len(results_in(out)) == 2
+    assert results_in(out) == results_in(replayed.out)
+    assert (table.read_text(), process.stdout) == (replayed.table, replayed.done.stdout)
+
+
+def results_in(folder: Path) -> list[Any]:
+    """Of its sessions, in the order of their names."""
+    return [json.loads(file.read_text()) for file in sorted(folder.iterdir())]
 
 
 @pytest.mark.parametrize("bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"])

@@ -110,16 +110,16 @@ def backtest_where(wanted: Callable[[Sample], bool]) -> Backtest:
 
 @pytest.fixture(scope="module")
 def early() -> Backtest:
-    """The first 1200 samples."""
-    return backtest_where(lambda sample: sample.index < 1200)
+    """The first 900 samples."""
+    return backtest_where(lambda sample: sample.index < 900)
 
 
 def test_a_session_cut_short_gives_the_same_forecasts(early: Backtest) -> None:
-    """Nobody looks ahead: what comes after sample 800 does not change what is said up to 700."""
-    cut = backtest_where(lambda sample: sample.index < 801)
+    """Nobody looks ahead: what comes after sample 650 does not change what is said up to 550."""
+    cut = backtest_where(lambda sample: sample.index < 651)
     # As texts, in which figures that there are not, NaN, are equal.
-    of_cut = {(*m.place, m.who): repr(m) for m in cut.marked if m.sample <= 700}
-    uncut = {(*m.place, m.who): repr(m) for m in early.marked if m.sample <= 700}
+    of_cut = {(*m.place, m.who): repr(m) for m in cut.marked if m.sample <= 550}
+    uncut = {(*m.place, m.who): repr(m) for m in early.marked if m.sample <= 550}
     assert len(of_cut) > 60
     assert of_cut == uncut
 
@@ -148,7 +148,7 @@ def rms_of_leader(tested: Backtest) -> dict[tuple[int, float], float]:
 
 def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
     """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
-    thinned = backtest_where(lambda sample: sample.index < 1200 and sample.index % 15 != 7)
+    thinned = backtest_where(lambda sample: sample.index < 900 and sample.index % 15 != 7)
     ends = {(m.sample + round(h)) % 15 for m in thinned.marked for h in (m.horizon,)}
     assert 7 not in ends
     before = rms_of_leader(early)
@@ -161,19 +161,19 @@ def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
 def test_nothing_is_forecast_over_a_gap() -> None:
     """Forty samples are lost: what is said before ends there, and what is said after starts over."""
     whole = open_any(SHIPPED)
-    session = replace(whole, samples=[*whole.samples[:1000], *whole.samples[1040:1300]])
+    session = replace(whole, samples=[*whole.samples[:600], *whole.samples[640:900]])
     (tested,) = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))
     reach = {(m.sample, m.sample + round(m.horizon)) for m in tested.marked}
-    assert any(last < 1000 for _, last in reach)
-    assert any(first >= 1040 for first, _ in reach)
-    assert not any(first < 1040 and last >= 1000 for first, last in reach)
+    assert any(last < 600 for _, last in reach)
+    assert any(first >= 640 for first, _ in reach)
+    assert not any(first < 640 and last >= 600 for first, last in reach)
     assert len(tested.came) == 2
 
 
 def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     """A motor, twenty samples a second: the leader errs by its sensor's noise, and units are the motor's."""
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
-    reference = np.repeat([50.0, 150.0, 90.0, -60.0], 240)
+    reference = np.repeat([50.0, 150.0, 90.0, -60.0], 180)
     sensor = Sensor(noise=Motor.output.noise).realise(reference.size, 0.05, 3)
     run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), law=Motor.loop, sensor=sensor)
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
