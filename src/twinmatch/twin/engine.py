@@ -21,8 +21,8 @@ from twinmatch.fitting.excitation import unexpected_movement, why_not_moved
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.safety.stand_in import LASTING
-from twinmatch.signals import FloatArray, Sample, Signals, Window, point_values
-from twinmatch.twin.candidates import CandidatePool
+from twinmatch.signals import FloatArray, Sample, Signals, Window
+from twinmatch.twin.candidates import CandidatePool, name_at
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
@@ -563,8 +563,7 @@ class Discriminator:
         window = trigger.window
         if match.status is not Status.ACCEPTED:
             return MatchResult(REFUSED, f"match refused: {match.reason}")
-        outputs = zip(point_values(report.operating_point), self.settings.plant.outputs.values(), strict=True)
-        name = ", ".join(f"{value:g} {output.unit}" for value, output in outputs)
+        name = name_at(report.operating_point, self.settings.plant)
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
