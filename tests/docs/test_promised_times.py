@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import random
 import re
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
 import paho.mqtt.client
 import pytest
 import yaml
 
+from tests.support.faulty_kit import Simulated, run
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
 from twinmatch.comparing import TrustLevel
 from twinmatch.parameters.sampler import sampler_values, sources_of
+from twinmatch.parameters.twin import read_settings
 from twinmatch.plants.files import load_plant
 from twinmatch.sampling import payloads
 from twinmatch.sampling.sources import SignalMap
@@ -72,7 +77,7 @@ class Home:
 
 
 class Outcomes:
-    """When the first verdict, match and trusted verdict came, s, and what the newest match found."""
+    """When the first verdict, match, trusted verdict and leader came, s, and what the newest match found."""
 
     def __init__(self, samples: Iterator[Sample], settings: TwinSettings) -> None:
         self.first: dict[str, float] = {}
@@ -87,6 +92,8 @@ class Outcomes:
                 self.found = {name: matched[name] for name in outcome.match.match.free}
             for verdict in outcome.verdicts:
                 self.first.setdefault("verdict", now)
+                if verdict.leader:
+                    self.first.setdefault("leader", now)
                 if verdict.level is TrustLevel.TRUSTED:
                     self.first.setdefault("trust", now)
 
@@ -147,3 +154,76 @@ def test_the_room_on_that_page_is_trusted_when_the_page_says(tmp_path: Path) -> 
     share = said(text, r"finds its 1200 W\s+and 2·10⁵ J/K to (\d+) %") / 100.0
     assert outcomes.found["power"] == pytest.approx(1200.0, rel=share)
     assert outcomes.found["capacity"] == pytest.approx(2e5, rel=share)
+
+
+class Oven:
+    """What the page's rig publishes, sample by sample, without waiting and without ROS."""
+
+    def __init__(self, program: str, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.published: list[list[float]] = []
+        self._now = 0.0
+        self._steps = steps
+        rclpy = ModuleType("rclpy")
+        rclpy.init = rclpy.ok = lambda: True  # type: ignore[attr-defined]
+        rclpy.create_node = lambda _: self  # type: ignore[attr-defined]
+        executors = ModuleType("rclpy.executors")
+        executors.ExternalShutdownException = EndOfTimeError  # type: ignore[attr-defined]
+        messages = ModuleType("std_msgs.msg")
+        messages.Float64 = self._take  # type: ignore[attr-defined]
+        for module in (rclpy, executors, messages):
+            monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setattr(time, "monotonic", lambda: self._now)
+        monkeypatch.setattr(time, "sleep", self._sleep)
+        random.seed(6)
+        exec(compile(program, "oven_rig.py", "exec"), {"__name__": "__main__"})
+
+    def create_publisher(self, *_: object) -> Oven:
+        """One object stands for the node and for its three publishers."""
+        return self
+
+    def publish(self, _: object) -> None:
+        """Taken when the message is made."""
+
+    def _take(self, data: float) -> None:
+        if not self.published or len(self.published[-1]) == 3:
+            self.published.append([])
+        self.published[-1].append(data)
+
+    def _sleep(self, seconds: float) -> None:
+        self._now += seconds
+        if len(self.published) == self._steps:
+            raise EndOfTimeError
+
+
+def test_the_oven_on_the_page_of_attach_is_matched_after_two_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = page("attach.md")
+    steps = said(text, r"After (\w+) steps there is a match")
+    files = files_of(text)
+    holds = said(files["oven_rig.py"], r"tick // (\d+) % 2")
+    with monkeypatch.context() as patch:
+        published = Oven(files["oven_rig.py"], round((steps + 1) * holds), patch).published
+    (tmp_path / "oven.py").write_text(files["oven.py"], encoding="utf-8")
+    period = said(text, r"--plant oven.py --period ([\d.]+)")
+    with no_plant_files():
+        settings = TwinSettings.of(load_plant(str(tmp_path / "oven.py")), period=period)
+        samples = (
+            Sample(k, round(k * period * 1e9), wanted, reading, heater)
+            for k, (wanted, reading, heater) in enumerate(published)
+        )
+        outcomes = Outcomes(samples, settings)
+    assert outcomes.first["match"] <= (steps + 1) * holds * period
+    assert outcomes.found["gain"] / outcomes.found["capacity"] == pytest.approx(0.5 / 4.0, rel=0.05)
+
+
+def test_the_kit_is_matched_after_as_many_minutes_as_its_page_says() -> None:
+    """The simulated kit of the package, under the loop and the set-points that are shipped."""
+    pytest.importorskip("tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'")
+    minutes = said(page("tclab.md"), r"After the second level, some (\d+) minutes, there is a first match")
+    config = yaml.safe_load((PROJECT / "config" / "tclab.yaml").read_text())["controller"]["ros__parameters"]
+    levels = np.repeat(config["profile.levels"], np.array(config["profile.holds"], dtype=int))
+    samples = run(Simulated(3), levels[: round(60.0 * (minutes + 1.0))])
+    outcomes = Outcomes(iter(samples), read_settings(PROJECT / "config" / "tclab_twin.yaml"))
+    assert outcomes.first["match"] <= 60.0 * (minutes + 1.0)
+    assert outcomes.first["leader"] <= 60.0 * (minutes + 1.0)
