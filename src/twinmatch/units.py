@@ -112,6 +112,11 @@ def is_readable(unit: str) -> bool:
     return len(unit) <= _LONGEST and _power_of(_plain(unit)) <= _LARGEST_POWER
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a known unit, or may be one that nobody can convert: a few capitals, such as PWM."""
+    return measure(text).known or re.fullmatch(r"[A-Z]{2,5}", text) is not None
+
+
 def _power_of(text: str) -> float:
     """The product of all exponents above 1; infinity for an exponent that is not a number."""
     text = text.replace(",", "")  # pint ignores commas, also within **

@@ -606,3 +606,20 @@ def test_a_bag_of_ros_1_is_read_in_the_order_of_recording(tmp_path: Path) -> Non
     (tmp_path / "one.bag").write_bytes((tmp_path / "one.bag").read_bytes()[:2000])
     with pytest.raises(TwinmatchError, match="cannot be read as a bag, or is damaged"):
         read(tmp_path / "one.bag")
+
+
+def test_a_mode_in_a_formula_holds_until_the_next(tmp_path: Path, plant: Path) -> None:
+    """A mode of 0 that is published every five seconds, and then one of 3: in between there is no other."""
+    timed_messages: list[tuple[float, str, Any]] = []
+    for k in range(TICKS):
+        timed_messages.append((k * PERIOD, "/oven", temperature(k * PERIOD, 20.0 + k)))
+        timed_messages.append((k * PERIOD, "/power", number(50.5)))
+        if k % 10 == 0:
+            timed_messages.append((k * PERIOD, "/mode", number(0.0 if k < 30 else 3.0)))
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
+    entries = ["output=/oven:temperature", "input=p*(m == 0) - p*(m == 2); p=/power:data; m=/mode:data"]
+    run = map_bag(source, parse_map(entries), find_plant(str(plant)))
+    inputs = [sample.input for sample in run.samples]
+    # The bag's times are 30 ms late, so the first reading has no input yet.
+    assert inputs[:29] == pytest.approx([50.5] * 29, abs=1e-6)
+    assert inputs[30:] == pytest.approx([0.0] * (TICKS - 31), abs=1e-6)

@@ -11,7 +11,7 @@ from tests.support.processes import no_plant_files
 from twinmatch.adding.written_files import _source
 from twinmatch.importing.column_map import read_map
 from twinmatch.importing.derived import with_derived
-from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names
+from twinmatch.importing.mapped import Mapped, map_samples, require_columns, with_plant_names
 from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
@@ -114,3 +114,21 @@ def test_a_map_that_was_written_to_a_file_computes_the_same(path: Path) -> None:
     title = again.sources["input"].places[0]
     assert not table.unit(title)  # that of the duty is not that of the product
     assert list(table.columns[title][:3]) == [10.0, 10.0, 30.0]
+
+
+def test_columns_of_words_are_named_with_what_to_map(tmp_path: Path) -> None:
+    """HEAT and IDLE need no numbers; BOOST does."""
+    path = tmp_path / "log.csv"
+    path.write_text("t,T,action,mode\n0,20,HEAT,BOOST\n1,21,IDLE,away\n2,22,HEAT,BOOST\n")
+    table = read_table(path)
+    with pytest.raises(RecordingError) as caught:
+        require_columns(table, parse_map(["time=t", "output=T"]))
+    assert "no column is mapped to input" in str(caught.value)
+    assert "'action' holds words (HEAT), and is mapped as 'SIGNAL=action'" in str(caught.value)
+    asked = "'mode' holds words (BOOST, away), and is mapped as 'SIGNAL=mode; BOOST=NUMBER; away=NUMBER'"
+    assert asked in str(caught.value)
+    assert [sample.input for sample in mapped(path, "output=T", "input=action").samples] == [1.0, 0.0, 1.0]
+    with_words = mapped(path, "output=T", "input=action; heat=1; idle=0").samples
+    assert [sample.input for sample in with_words] == [1.0, 0.0, 1.0]
+    with pytest.raises(RecordingError, match="'idle' is read as 0 in tables"):
+        mapped(path, "output=T", "input=action; idle=2")

@@ -127,6 +127,7 @@ def test_a_plant_file_alone_is_answered(plant_path: Path) -> None:
         (["--measured", "t [°C] 90 to 5"], "give the lower end first"),
         (["--measured", "t [°C] a to 5"], "an end that is not a number"),
         (["--measured", "t [°C^] 5 to 90"], "'°C^' is not a known unit"),
+        (["--measured", "t [left] 5 to 90"], "'left' is not a known unit"),
         (["--measured", "t [°C] 5 to 90", "--now", "200"], "give a reading within 5 to 90"),
         ([], "--nothing-recorded needs --measured and --takes"),
     ],

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from benchmarks.bank.kits import run
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.judging import judge_samples, terms_from_files
+from twinmatch.parameters.twin import read_settings
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.sessions import Session, read_session, write_session
 from twinmatch.sessions.metadata import PLANT, parameters_record
@@ -62,3 +64,8 @@ def test_the_graph_that_plays_a_session_is_given_the_same(tmp_path: Path) -> Non
     values = replay.values_for_twin(settings)
     assert values["read_through"] == "second_temperature"
     assert ("loop" in values) is (settings.law is None)
+    config = tmp_path / "nodes.yaml"
+    config.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
+    of_nodes = read_settings(config)
+    assert of_nodes.read_through == settings.read_through == ("second_temperature",)
+    assert (of_nodes.law is None) is (settings.law is None)

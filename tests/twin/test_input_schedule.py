@@ -35,8 +35,14 @@ SPAN = SETTINGS.span
 LEAD = SETTINGS.lead
 
 
-def run(heater: np.ndarray, output: np.ndarray | None = None, first: int = 0) -> list[Trigger]:
-    schedule = Schedule(SETTINGS, effect=PROMPT, width=5.0)
+HARDLY = InputEffect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.full((1, 1), 0.004))
+"""What a plant file says of that output whose gain is 250 times too small."""
+
+
+def run(
+    heater: np.ndarray, output: np.ndarray | None = None, first: int = 0, effect: InputEffect = PROMPT
+) -> list[Trigger]:
+    schedule = Schedule(SETTINGS, effect=effect, width=5.0)
     output = np.zeros(heater.size) if output is None else output
     pushed = (
         schedule.push(Sample(first + k, k, 0.0, float(y), float(u)))
@@ -94,6 +100,37 @@ def test_noise_is_not_a_step() -> None:
     """A controller's output that trembles: least steps are 20 units of noise."""
     tremble = 50.0 + 0.5 * np.random.default_rng(4).standard_normal(2000)
     assert excited(tremble) == []
+
+
+def following(heater: np.ndarray, lag: float = 20.0) -> np.ndarray:
+    """Readings of a plant with a gain of 1, after its input."""
+    output = np.random.default_rng(8).normal(0.0, 0.2, heater.size)
+    state = 50.0
+    for k in range(heater.size):
+        output[k] += state
+        state += (heater[k] - state) / lag
+    return output
+
+
+SWITCHED = 50.0 + 40.0 * np.random.default_rng(9).choice([-1.0, 1.0], 1500)
+ALTERNATING = np.resize([90.0, 90.0, 10.0, 10.0], 1500) + np.repeat(np.resize([0.0, 10.0, -10.0], 30), 50)
+
+
+@pytest.mark.parametrize("heater", [SWITCHED, ALTERNATING], ids=["at random", "at every second sample"])
+def test_what_the_samples_show_counts_where_the_defaults_are_far_off(heater: np.ndarray) -> None:
+    """A gain 250 times too small in the plant file: the input has moved the output all the same, and windows
+    come as often as with the right one."""
+    output = following(heater)
+    shown = [t for t in run(heater, output, effect=HARDLY) if t.excited]
+    assert len(shown) >= 4
+    assert len(shown) >= len([t for t in run(heater, output) if t.excited]) - 1
+    assert shown[0].window.first == 0
+    assert shown[0].sample <= 2 * SETTINGS.stride + SPAN
+
+
+def test_an_output_that_moves_by_itself_is_quiet() -> None:
+    wandering = np.cumsum(np.random.default_rng(10).normal(0.0, 2.0, 1500))
+    assert not any(t.excited for t in run(SWITCHED, wandering, effect=HARDLY))
 
 
 def test_what_counts_is_what_the_output_does() -> None:

@@ -15,6 +15,7 @@ from twinmatch.forecasting import Outlook
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import Forecaster, ForecastSettings, Mirror, choose_structure
+from twinmatch.twin.candidates import name_at
 
 TRUTH = Heaters.model().parameters(exchange=0.03, first_gain=0.012, loss=0.008)
 WRONG = TRUTH.replace(exchange=0.01, second_gain=0.014)
@@ -205,3 +206,12 @@ def test_lost_samples_of_several_signals_count_nowhere() -> None:
         )
     np.testing.assert_allclose(lost.outlook().states, whole.outlook().states, atol=0.05)
     assert lost.scores[0].gain == pytest.approx(whole.scores[0].gain, abs=0.1)
+
+
+def test_a_match_of_several_loops_is_called_as_precisely_as_its_signals_are_shown() -> None:
+    first, second = Heaters.outputs.values()
+    decimals = (first.decimals, second.decimals)
+    assert max(decimals) <= 2
+    name = name_at((54.73612, -1e-9), Heaters)
+    assert name == f"{round(54.73612, decimals[0]):g} {first.unit}, 0 {second.unit}"
+    assert "54.73612" not in name

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.support.box_runs import PERIOD, TRUTH, step_test, switched
-from tests.support.plants import Box, Motor
+from tests.support.plants import Box, Lag, Motor
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.dynamics import PlantError, begin, simulate_closed_loop
+from twinmatch.dynamics import Parameter, PlantError, begin, simulate_closed_loop
 from twinmatch.forecasting import Question, what_if
 from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, judge_samples
@@ -156,3 +156,28 @@ def test_a_known_loop_may_be_taken_as_unknown() -> None:
     assert best
     assert best[-1].parameters["k"] == pytest.approx(truth["k"], rel=0.05)
     assert all(np.isnan(v.miss_u) for v in verdicts)
+
+
+class Underrated(Lag, name="underrated"):
+    """A plant file whose default gain is 250 times too small for the plant below."""
+
+    gain = Parameter(unit="m/V", default=0.008, bounds=(0.0004, 40.0), positive=True)
+
+
+def test_a_default_that_is_far_off_keeps_nobody_from_a_twin() -> None:
+    """The first full window is matched, with a gain of 2, and the twin is trusted."""
+    generator = np.random.default_rng(6)
+    heater = generator.choice([-4.0, 4.0], 900)
+    twin = Twin(TwinSettings.of(Underrated, period=0.2))
+    state = 0.0
+    matches = []
+    verdicts = []
+    for k, u in enumerate(heater.tolist()):
+        reading = state + float(generator.normal(0.0, 0.01))
+        outcome = twin.push(Sample(k, k * 200_000_000, reading, reading, u))
+        matches += [] if outcome.match is None else [outcome.match.match]
+        verdicts += outcome.verdicts
+        state += (2.0 * u - state) * -np.expm1(-0.2 / 5.0)
+    assert matches[0].accepted, matches[0].reason
+    assert matches[0].parameters["gain"] == pytest.approx(2.0, rel=0.02)
+    assert verdicts[-1].level is TrustLevel.TRUSTED, verdicts[-1].reason

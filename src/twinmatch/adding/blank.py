@@ -7,7 +7,7 @@ from typing import Final
 
 from twinmatch.adding.proposal import Proposal, Signal, rounded
 from twinmatch.errors import TwinmatchError
-from twinmatch.units import is_readable
+from twinmatch.units import is_unit
 
 _SIGNAL: Final = re.compile(
     r"\s*(?P<name>[^\W\d]\w*)\s*(?:\[(?P<unit>[^\]]*)\])?\s+(?P<low>\S+)\s+to\s+(?P<high>\S+)\s*"
@@ -44,7 +44,7 @@ def signal_said(text: str, option: str) -> Signal:
         ) from None
     if not low < high < float("inf") or low == float("-inf"):
         raise BlankError(f"new-plant: {option}: {low:g} to {high:g} is not a range; give the lower end first")
-    if not is_readable(unit):
+    if not is_unit(unit):
         raise BlankError(
             f"new-plant: {option}: {unit!r} is not a known unit; leave it out, or write another one"
         )

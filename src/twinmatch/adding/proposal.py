@@ -43,7 +43,7 @@ from twinmatch.importing.times import Times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
-from twinmatch.units import is_readable, measure
+from twinmatch.units import is_unit, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
@@ -373,11 +373,11 @@ def signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file:
 
 
 def unit_of(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
-    """The unit of a signal by its map or its title; empty without one that can be read."""
+    """The unit of a signal by its map or its title; empty where neither has one."""
     source = sources[signal]
     unit = source.unit or table.unit(source.places[0])
     unit = _OFFSET_UNITS.get(unit.lower(), unit)
-    return unit if is_readable(unit) else ""
+    return unit if is_unit(unit) else ""
 
 
 def word(title: str, names_in_file: list[str]) -> str:

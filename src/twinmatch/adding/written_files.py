@@ -85,7 +85,7 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
     y = proposal.output
     u = proposal.input
     around = proposal.around
-    free = ["gain", "lag", *([] if around else ["rest"])]
+    free = ["gain", "lag", "load" if around else "rest"]
     low, high = sorted((proposal.gain / _WIDE, proposal.gain * _WIDE))
     middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
     return {

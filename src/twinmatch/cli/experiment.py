@@ -111,6 +111,8 @@ def run(options: argparse.Namespace) -> int:
         raise ControllerError("experiment: --for controller and --loop FILE belong together")
     with held_interrupts():
         ground = ground_of(_opened(options), options.config, options.candidates)
+        for part in ground.left_out:
+            print(f"Note: {part.sentence}")
         terms = experiment_terms(ground, options.minutes, options.within)
         try:
             with Progress() as progress:
@@ -126,7 +128,11 @@ def run(options: argparse.Namespace) -> int:
     for line in experiment_words(experiment):
         print(line)
     write_json(
-        options.json, lambda: experiment_document(experiment) | {"notes": list(ground.session.missing)}
+        options.json,
+        lambda: (
+            experiment_document(experiment)
+            | {"notes": [*ground.session.missing, *(part.sentence for part in ground.left_out)]}
+        ),
     )
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415 — matplotlib is slow

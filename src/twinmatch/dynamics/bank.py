@@ -128,7 +128,7 @@ class ChangeRows(NamedTuple):
     number: Any
     """Index of the number that changes."""
     also: Any
-    """Index of another number that changes by the same; −1: there is none."""
+    """Indices of other numbers that change by the same, shape (R, a); −1: there is none."""
     cause: Any
     """Index of what is reported."""
     rate: FloatArray
@@ -260,8 +260,9 @@ def _carry_traces(
         for j in range(n, size):
             trace[j] *= fixed.keeps[j]
         trace[rows.number[r]] += rows.rate[r]
-        if rows.also[r] >= 0:
-            trace[rows.also[r]] += rows.rate[r]
+        for a in range(rows.also.shape[1]):
+            if rows.also[r, a] >= 0:
+                trace[rows.also[r, a]] += rows.rate[r]
         traces.variance[t] += rows.wanders[r] * traces.mean[t] ** 2
         if now - traces.born[t] < rows.lasting[r]:
             traces.variance[t] += rows.diffusion[r]
@@ -485,8 +486,9 @@ def spawn(
             for j in range(at.shape[1]):
                 traces.trace[t, j] = 0.0
             traces.trace[t, rows.number[r]] = 1.0 if rows.rate[r] == 0.0 else 0.0
-            if rows.also[r] >= 0:
-                traces.trace[t, rows.also[r]] = traces.trace[t, rows.number[r]]
+            for a in range(rows.also.shape[1]):
+                if rows.also[r, a] >= 0:
+                    traces.trace[t, rows.also[r, a]] = traces.trace[t, rows.number[r]]
             traces.mean[t] = -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
             traces.variance[t] = rows.spread[r] ** 2
             traces.now[t] = 0.0

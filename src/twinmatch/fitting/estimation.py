@@ -21,6 +21,8 @@ _MAX_EVALUATIONS = 100
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
+_FAR: Final = 10.0
+"""Factor between a value and its typical size from which the size says nothing of it."""
 QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
@@ -142,7 +144,20 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     n_free = len(problem.free)
     pull = problem.experiment.pull
     scores[:n_free, :n_free] += np.diag(LASTING * pull)
-    return _uncertainty_of(fisher, scores, problem.scales)
+    return _uncertainty_of(fisher, scores, _sizes_at(problem, estimate.values))
+
+
+def _sizes_at(problem: Problem, values: FloatArray) -> FloatArray:
+    """Typical sizes of the unknowns, shape (n,): where a default is far from the value, that of the value.
+
+    Otherwise a default that is hundreds of times too small looks like a direction that hardly shows.
+    """
+    sizes = problem.scales.copy()
+    for place, (unknown, value) in enumerate(zip(problem.unknowns, values.tolist(), strict=True)):
+        is_far = not sizes[place] / _FAR <= value <= sizes[place] * _FAR
+        if unknown.relative and unknown.bounds[0] > 0.0 and is_far:
+            sizes[place] = value
+    return sizes
 
 
 def _uncertainty_of(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:

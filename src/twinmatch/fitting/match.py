@@ -12,9 +12,10 @@ from typing import Annotated, ClassVar, Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
-from twinmatch.dynamics.movement import ExpectedMovement, effect_of
+from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for
+from twinmatch.fitting.excitation import movement_by_inputs, why_not_moved
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import LASTING, Bounds, Noise, Prior, Problem, checked_free, checked_law
@@ -233,17 +234,19 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     """Number of samples for the test fit, or the reason why none can be made."""
     window = problem.window
     plant = problem.base.model.plant
-    signal = "set-point"
-    moved = window.references
+    outputs = [*plant.outputs.values()]
+    least = np.array([_SHOWS * (output.least_step if min_step is None else min_step) for output in outputs])
     if problem.law is None:
         signal = "input"
-        movement = ExpectedMovement(effect_of(plant, window.period))
-        moved = np.array([movement.take(row) for row in window.inputs])
-    outputs = [*plant.outputs.values()][: moved.shape[1]]
-    least = [_SHOWS * (output.least_step if min_step is None else min_step) for output in outputs]
-    places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
-    excited = min((place for place in places if place is not None), default=None)
+        excited = _first_moved(movement_by_inputs(window, effect_of(plant, window.period)), least)
+    else:
+        signal = "set-point"
+        outputs = outputs[: window.references.shape[1]]
+        least = least[: len(outputs)]
+        excited = _first_moved(window.references, least)
     if excited is None:
+        if problem.law is None and np.ptp(window.inputs, axis=0).any():
+            return 0, f"{why_not_moved(window, plant, least)}, in the window's {len(window)} samples"
         steps = " or ".join(f"{step:g} {output.unit}" for step, output in zip(least, outputs, strict=True))
         how_far = "so far that the output would show it, " if problem.law is None else ""
         return 0, f"the {signal} did not move {how_far}by {steps} within the window's {len(window)} samples"
@@ -254,6 +257,12 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
             f"{window.last} for a fit and its test"
         )
     return split, ""
+
+
+def _first_moved(moved: FloatArray, least: FloatArray) -> int | None:
+    """Position of the first sample at which a signal, shape (N, o), has moved far enough, or None."""
+    places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
+    return min((place for place in places if place is not None), default=None)
 
 
 def not_determined(

@@ -321,10 +321,17 @@ class ChannelMonitor:
         if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._is_to_be_named(best)):
             self._name(best, suspects)
         elif not leads:
-            self._unnamed += 1
-            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _NAMING.unnamed * competition.second
-            if enough and self.on is None and self._began_known(best) and self._is_material(best):
-                self._raise(Fault.DRIFT, best, suspects)
+            self._wait_for_a_name(best, suspects)
+
+    def _wait_for_a_name(self, best: Suspect, suspects: list[Suspect]) -> None:
+        """Report a change without a name once none has been found for long enough."""
+        self._unnamed += 1
+        enough = best.evidence >= 2.0 * CHANGE
+        has_waited = self._unnamed > _NAMING.unnamed * self.competition.second
+        if not enough or not has_waited or self.on is not None:
+            return
+        if self._began_known(best) and self._is_material(best):
+            self._raise(Fault.DRIFT, best, suspects)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
         """Whether the fault of the alarm that is on has ended."""
@@ -421,6 +428,7 @@ class ChannelMonitor:
                 self._read_through(signal, best.born)
             return
         if fault is Fault.DRIFT:
+            self._wait_for_a_name(best, suspects)
             return
         on = self.on
         if on is None or (on.fault, on.suspects[0].cause[1]) != (fault, signal):

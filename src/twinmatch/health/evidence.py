@@ -122,7 +122,10 @@ class Competition:
         period = healthy.period
         scale = healthy.scale
         numbers = [healthy.numbers[row.number] for row in rows]
-        also = [healthy.numbers[row.also] if row.also else -1 for row in rows]
+        most_others = max(len(row.also) for row in rows)
+        also = np.full((len(rows), most_others), -1, dtype=np.int64)
+        for place, row in enumerate(rows):
+            also[place, : len(row.also)] = [healthy.numbers[name] for name in row.also]
         causes = [self._causes.index(row.cause) for row in rows]
         rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
         lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
@@ -131,7 +134,7 @@ class Competition:
         spread = np.array([row.spread for row in rows])
         return ChangeRows(
             number=np.array(numbers, dtype=np.int64),
-            also=np.array(also, dtype=np.int64),
+            also=also,
             cause=np.array(causes, dtype=np.int64),
             rate=np.array(rates),
             wanders=wanders**2 * 2.0 * period / (30.0 * scale),

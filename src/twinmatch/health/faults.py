@@ -55,7 +55,7 @@ class Subject(Enum):
 
 
 EVERY: Final = -1
-"""Place of the first two drives together, where a place says which drive a fault concerns."""
+"""Place of all drives together, where a place says which drive a fault concerns."""
 
 
 @dataclass(frozen=True, slots=True)

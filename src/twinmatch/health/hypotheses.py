@@ -15,7 +15,7 @@ from twinmatch.health.faults import EVERY, Fault
 
 PlacedFault = tuple[Fault, int]
 """A fault, and the place of the free parameter, drive or output that it concerns; of a `DRIFT`, the place of
-the drive that something unknown acts like; `EVERY` for two drives at once."""
+the drive that something unknown acts like; `EVERY` for all drives at once."""
 
 RARE: Final = 2.5
 """Price of what comes evenly over minutes, nats."""
@@ -51,8 +51,8 @@ class ChangeRow:
     """Nats that this row costs beyond those of its cause and its onset."""
     wanders: float = 0.25
     """By how much its size may wander within 30 s, as a share: no change has exactly the shape of its row."""
-    also: str = ""
-    """Another number that changes by the same; empty: there is none."""
+    also: tuple[str, ...] = ()
+    """Other numbers that change by the same."""
 
 
 def rows_of(model: Model) -> list[ChangeRow]:
@@ -67,7 +67,7 @@ def rows_of(model: Model) -> list[ChangeRow]:
     for j, drive in enumerate(model.plant.drives.values()):
         rows += _rows_of_drive(j, drive.limits[1] - drive.limits[0])
     if len(model.plant.drives) > 1:
-        rows += _rows_of_supply()
+        rows += _rows_of_supply(len(model.plant.drives))
     for i, output in enumerate(model.plant.outputs.values()):
         rows += _rows_of_sensor(i, output.noise)
     return rows
@@ -103,12 +103,13 @@ def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
     yield ChangeRow((Fault.DRIFT, j), f"push {j}", spread=push, least=least, price=UNKNOWN)
 
 
-def _rows_of_supply() -> Iterator[ChangeRow]:
-    """What the first two drives share, such as their supply, is lost, or does less or more."""
+def _rows_of_supply(drives: int) -> Iterator[ChangeRow]:
+    """What all drives share, such as their supply, is lost, or does less or more."""
+    also = tuple(f"share {j}" for j in range(1, drives))
     yield ChangeRow(
-        (Fault.DRIVE_LOST, EVERY), "share 0", also="share 1", shift=-1.0, spread=0.03, least=0.5, wanders=0.05
+        (Fault.DRIVE_LOST, EVERY), "share 0", also=also, shift=-1.0, spread=0.03, least=0.5, wanders=0.05
     )
-    weak = ChangeRow((Fault.DRIVE_WEAK, EVERY), "share 0", also="share 1", shift=-0.35, spread=0.2, least=0.1)
+    weak = ChangeRow((Fault.DRIVE_WEAK, EVERY), "share 0", also=also, shift=-0.35, spread=0.2, least=0.1)
     yield weak
     yield replace(weak, shift=0.3, least=MORE)
 

@@ -59,7 +59,8 @@ class FaultSentences:
 
     @cached_property
     def _all_drives(self) -> str:
-        return " and ".join(drive.text or name for name, drive in self._drives[:2])
+        *others, last = [drive.text or name for name, drive in self._drives]
+        return f"{', '.join(others)} and {last}"
 
     def _concerned(self, cause: PlacedFault) -> tuple[str, Drive | Output | Parameter]:
         """Name of what a fault concerns, and what the plant file declares of it."""
@@ -206,6 +207,8 @@ class FaultSentences:
                 f"{self._all_drives} have {left}: look at what they share, such as their supply",
             )
         around = self._model.plant.surroundings
+        if fault is Fault.DRIFT and len(rivals) == 1:
+            return name, size, f"the plant behaves as if {rivals[0]} had begun: look at {around}"
         reason = TRAITS[fault].sentence.format(
             name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)
         )

@@ -172,7 +172,8 @@ def _column(table: Table, title: str) -> Column:
     try:
         times = _read_any_times(table, title)
     except TwinmatchError:
-        different_texts = {*table.texts[title].values(), *table.columns[title].tolist()}
+        numbers = table.columns[title]
+        different_texts = {*table.texts[title].values(), *numbers[np.isfinite(numbers)].tolist()}
         return Column(title, table.unit(title), np.nan, np.nan, len(different_texts), 0, "text")
     seconds = times.seconds[np.isfinite(times.seconds)]
     different = np.unique(seconds).size

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.importing.cells import WORDS
 from twinmatch.importing.mapped import times_of
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.channels import UnreadableError
@@ -61,12 +62,27 @@ def _require_words(table: Table, source: SignalSource) -> None:
     cells: set[str] = set()
     for place in source.separate:
         cells.update(text.strip().lower() for text in table.texts.get(table.find(place), {}).values())
-    for word in source.words:
-        if word not in cells:
+    for word, meaning in source.words.items():
+        if word in WORDS:
+            _require_meaning(table, word, meaning)
+        elif word not in cells:
             raise RecordingError(
                 f"{table.path}: no cell of {', '.join(source.places)} is {word!r}; correct the word of its "
                 "map, or write one of the settings unit, scale, offset, missing"
             )
+
+
+def _require_meaning(table: Table, word: str, meaning: float) -> None:
+    """Refuse another meaning of a word that every table's reader takes for a number.
+
+    Raises:
+        RecordingError: it has another one.
+    """
+    if not meaning == WORDS[word]:
+        raise RecordingError(
+            f"{table.path}: {word!r} is read as {WORDS[word]:g} in tables; leave it out of the map, and give "
+            "the setting scale or offset instead"
+        )
 
 
 def _with_numbers(table: Table, title: str, numbers: FloatArray) -> Table:

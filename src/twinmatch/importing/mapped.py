@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +26,17 @@ from twinmatch.importing.resampling import (
 from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_date_and_time, read_times, row_times
-from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.channels import SamplingError, UnreadableError
 from twinmatch.sampling.names import LoopNames, accepted_names, by_signal
 from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
+from twinmatch.sampling.written_numbers import written_number
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
+
+_FEW_WORDS: Final = 6
+"""Most different words of a column that stand for states of a drive."""
 
 _FAILED_SENSOR_SHARE = 0.01
 """Largest share of readings beyond the sensor's span that is blamed on the sensor, not on a wrong unit."""
@@ -247,12 +251,30 @@ def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] =
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
             f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)}; "
-            f"its columns are {table.titles}"
+            f"its columns are {table.titles}{_words_in(table)}"
         )
         without_times = (
             ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
         )
         raise RecordingError(msg + (without_times if TIME in missing else ""))
+
+
+def _words_in(table: Table) -> str:
+    """What to map for columns of words, such as HEAT and IDLE, in words; empty if there are none."""
+    hints = []
+    for title, cells in table.texts.items():
+        words = sorted({text.strip() for text in cells.values()} - {""})
+        if not 1 <= len(words) <= _FEW_WORDS:
+            continue
+        unknown = []
+        for word in words:
+            try:
+                written_number(word)
+            except UnreadableError:
+                unknown.append(word)
+        place = "; ".join([title, *(f"{word}=NUMBER" for word in unknown)])
+        hints.append(f"{title!r} holds words ({', '.join(words)}), and is mapped as 'SIGNAL={place}'")
+    return "".join(f"; {hint}" for hint in hints)
 
 
 def _signals_to_read(

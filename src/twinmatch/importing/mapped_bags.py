@@ -133,7 +133,8 @@ def _signals(
 ) -> tuple[dict[str, TimedSignal], list[Loss]]:
     """Signals in the plant's units, and which messages of the first output are not used.
 
-    A signal that is computed from several channels has the times of the first one.
+    A signal that is computed from several channels has the times of the first one. Of those that a formula
+    takes, whole numbers, such as a mode, apply until the next: there is no mode 1.5 between 1 and 2.
     """
     signals = {}
     losses: dict[str, list[Loss]] = {}
@@ -144,7 +145,11 @@ def _signals(
             channel, losses[name] = rising_signal(path, name, series_times, numbers)
             channels.append(channel)
         first, *further = channels
-        values = [first.values, *(channel.interpolated(first.times) for channel in further)]
+        is_computed = bool(followed[name].source.formula)
+        values = [first.values]
+        for channel in further:
+            is_held = is_computed and channel.is_whole
+            values.append(channel.held(first.times) if is_held else channel.interpolated(first.times))
         computed = followed[name].values(values, first.times)
         is_number = np.isfinite(computed)  # a rate has none at its first message
         signals[name] = TimedSignal(first.times[is_number], computed[is_number])

@@ -58,6 +58,15 @@ class TimedSignal(NamedTuple):
         """The values at these times, linear in between."""
         return np.interp(times, self.times, self.values)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all values are whole numbers, as those of a state, a counter or a power of ten are."""
+        return bool((self.values == np.round(self.values)).all())
+
+    def held(self, times: FloatArray) -> FloatArray:
+        """The last value at or before each of these times; before the first value, that one."""
+        return self.values[np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)]
+
     def newest(self, times: FloatArray) -> FloatArray:
         """The last value at or before each of these times; none of them may be before the first value."""
         return self.values[np.searchsorted(self.times, times, side="right") - 1]

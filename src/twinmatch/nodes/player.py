@@ -89,7 +89,7 @@ TICK = 0.1
 _RATE = "Recorded seconds per second; 0: as fast as readers receive."
 _TIMEOUT = "Longest wait for them, and for delivery at the end."
 SAMPLE = "plant/sample"
-FROM_TWIN = ("plant/description",)
+FROM_TWIN = ("plant/description", "plant/estimate")
 """Plant topics that a twin publishes, and the player therefore does not."""
 
 

@@ -16,6 +16,8 @@ from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
 from twinmatch.forecasting import ForecastError, SetPoints
+from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.faults import TRAITS, Subject
 from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
 from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
@@ -26,7 +28,7 @@ from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.documents import parse_json, read_text
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
-from twinmatch.twin import Outcome, Twin
+from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch.twin.tried import tried_twins
 
 SHARE = 0.1
@@ -94,6 +96,20 @@ class NotTrustedError(ControllerError):
         self.reason = reason
 
 
+class LeftOut(NamedTuple):
+    """Samples of which nothing is learned, because a sensor was at fault."""
+
+    first: int
+    last: int
+    why: str
+    """The fault and its sensor, in words."""
+
+    @property
+    def sentence(self) -> str:
+        """That they are left out, and why."""
+        return f"samples {self.first} to {self.last} are left out: {self.why}"
+
+
 class Ground(NamedTuple):
     """A session on which controllers are tried."""
 
@@ -101,6 +117,19 @@ class Ground(NamedTuple):
     plant: type[Plant]
     terms: Terms | None
     """How it is judged; None for a plant with several loops, whose windows are fitted instead."""
+    loops: Law | None = None
+    """The law of several loops, if the recorded inputs are those of the plant file's; None: not known."""
+    left_out: tuple[LeftOut, ...] = ()
+    """Samples of a plant with several loops that its twins are not fitted to."""
+
+    @property
+    def sound(self) -> list[Sample]:
+        """The samples without those that are left out."""
+        return [
+            sample
+            for sample in self.session.samples
+            if not any(part.first <= sample.index <= part.last for part in self.left_out)
+        ]
 
     @property
     def holding(self) -> Holding:
@@ -122,7 +151,7 @@ class Ground(NamedTuple):
     def noise(self) -> FloatArray:
         """Standard deviations of readings, shape (o,): from their second differences, since a plant hardly
         bends within three samples; of a reading that mostly repeats itself, that of the plant file."""
-        bends = np.diff([sample.outputs for sample in self.session.samples], n=2, axis=0)
+        bends = np.diff([sample.outputs for sample in self.sound], n=2, axis=0)
         measured = MEDIAN_TO_SIGMA * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
         declared = np.array([output.noise for output in self.plant.outputs.values()])
         return np.where(measured > 0.0, measured, declared)
@@ -134,13 +163,14 @@ class Ground(NamedTuple):
         period = self.session.period
         averages = [np.zeros((0, noise.size))]
         samples = round(SMOOTHED * plant_scale(self.plant, period) / period)
-        for window in stretches(self.session.samples, period):
+        sound = self.sound
+        for window in stretches(sound, period):
             if len(window) > SKIPPED + samples:
                 response = simulate_window(twin.parameters, window, law=None)
                 sums = np.cumsum(window.outputs[SKIPPED:] - response.outputs, axis=0)
                 averages.append((sums[samples:] - sums[:-samples]) / samples)
         unexplained = np.concatenate(averages)
-        moved = np.ptp([sample.outputs for sample in self.session.samples], axis=0)
+        moved = np.ptp([sample.outputs for sample in sound], axis=0)
         follows_recording = unexplained.size and (np.abs(unexplained) <= moved).all()
         if not follows_recording:
             return replace(twin, noise=noise)
@@ -177,7 +207,25 @@ def ground_of(session: Session, config: Path | None = None, candidates: Path | N
             f"plant {plant.name}: has {len(plant.outputs)} outputs and {len(plant.drives)} inputs; "
             "controllers are tried on plants with as many inputs as outputs"
         )
-    return Ground(session, plant, None)
+    settings = terms_from_files(session, config, candidates).settings
+    return Ground(session, plant, None, settings.law, _faults_of_sensors(session, settings))
+
+
+def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOut, ...]:
+    """The samples at which a sensor was named as faulty."""
+    monitor = ChannelMonitor(settings.health.followed, session.period)
+    alarms: dict[int, ChannelAlarm] = {}
+    for sample in session.samples:
+        monitor.push(sample)
+        for alarm in monitor.alarms:  # few are kept; one that has ended replaces what was known of it
+            alarms[alarm.flagged] = alarm
+    parts = []
+    for alarm in alarms.values():
+        if TRAITS[alarm.fault].subject is Subject.OUTPUT and not alarm.withdrawn:
+            last = session.samples[-1].index if alarm.last is None else alarm.last
+            sensor = settings.plant.outputs[alarm.signal].text or alarm.signal
+            parts.append(LeftOut(alarm.first, last, f"{alarm.fault.value} of {sensor}"))
+    return tuple(parts)
 
 
 def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
@@ -207,7 +255,13 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     """
     session = ground.session
     plant = ground.plant
-    whole = stretches(session.samples, session.period)
+    whole = stretches(ground.sound, session.period)
+    if not any(len(stretch) >= FITS.shortest for stretch in whole):
+        reasons = "; ".join(part.sentence for part in ground.left_out)
+        raise ControllerError(
+            f"session {session.name}: no stretch of {FITS.shortest} samples is left to fit twins to"
+            f"{reasons and f' ({reasons})'}; record more samples"
+        )
     models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
     fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
@@ -286,7 +340,10 @@ def experiment_terms(
         ControllerError: as `ExperimentTerms.of`.
     """
     size = None if minutes is None else round(60.0 * minutes / ground.session.period)
-    return ExperimentTerms.of(ground.plant, ground.holding, ground.level, size=size, within=within)
+    holding = ground.holding
+    if ground.loops is not None:
+        holding = replace(holding, law=ground.loops)
+    return ExperimentTerms.of(ground.plant, holding, ground.level, size=size, within=within)
 
 
 def usual_profile(plant: type[Plant], level: FloatArray, samples: int) -> FloatArray:

@@ -22,6 +22,7 @@ from twinmatch.controllers import (
 )
 from twinmatch.controllers.whole_loop import ChannelMargins
 from twinmatch.dynamics import Plant
+from twinmatch.showing.quantities import shown_inputs, shown_outputs
 
 MAX_LIMITED: Final = 20.0
 """Share of the time at a limit, %, from which gains hardly matter."""
@@ -103,12 +104,12 @@ def _held_levels(experiment: NextExperiment) -> Iterator[str]:
     plant = experiment.leader.parameters.model.plant
     rows = experiment.course.rows
     holding = experiment.terms.holding
-    signals = plant.drives if holding.law is None else plant.outputs
+    signals = shown_inputs(plant) if holding.law is None else shown_outputs(plant)
     changes = [0, *(np.flatnonzero(np.any(np.diff(rows, axis=0), axis=1)) + 1)]
     for begin, end in zip(changes, [*changes[1:], len(rows)], strict=True):
         levels = ", ".join(
-            f"{name} {level:.4g} {signal.unit}"
-            for (name, signal), level in zip(signals.items(), rows[begin], strict=True)
+            f"{signal.name} {level:.4g} {signal.unit}".rstrip()
+            for signal, level in zip(signals, rows[begin], strict=True)
         )
         yield f"{levels} for {holding.period * (end - begin):.4g} s"
 

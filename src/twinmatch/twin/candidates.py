@@ -31,7 +31,7 @@ from twinmatch.comparing import (
     spans_of,
     twin_response,
 )
-from twinmatch.dynamics import Parameters, PlantError
+from twinmatch.dynamics import Parameters, Plant, PlantError
 from twinmatch.fitting import ORDERS
 from twinmatch.signals import FloatArray, OperatingPoint, Window, point_of, point_values
 from twinmatch.twin.forecaster import Forecaster
@@ -74,6 +74,16 @@ class _NewestWindow(NamedTuple):
     """None: the plant has several loops."""
     plant_now: Parameters | None
     """Parameters of the plant fitted to the newest samples, if that was possible."""
+
+
+def name_at(point: OperatingPoint, plant: type[Plant]) -> str:
+    """What a match at an operating point is called; of several outputs as precisely as they are shown."""
+    values = point_values(point)
+    outputs = [*plant.outputs.values()]
+    if len(outputs) > 1:
+        shown = [round(value, output.decimals) for value, output in zip(values, outputs, strict=True)]
+        values = tuple(value + 0.0 for value in shown)  # which makes minus zero zero
+    return ", ".join(f"{value:g} {output.unit}" for value, output in zip(values, outputs, strict=True))
 
 
 class CandidatePool:

@@ -10,15 +10,19 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
 from twinmatch.defects import Defect, defect_of, log_once
+from twinmatch.dynamics.movement import InputEffect
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
+from twinmatch.fitting.excitation import unexpected_movement, why_not_moved
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.safety.stand_in import LASTING
-from twinmatch.signals import Sample, Signals, Window, point_values
-from twinmatch.twin.candidates import CandidatePool
+from twinmatch.signals import FloatArray, Sample, Signals, Window
+from twinmatch.twin.candidates import CandidatePool, name_at
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
@@ -563,8 +567,7 @@ class Discriminator:
         window = trigger.window
         if match.status is not Status.ACCEPTED:
             return MatchResult(REFUSED, f"match refused: {match.reason}")
-        outputs = zip(point_values(report.operating_point), self.settings.plant.outputs.values(), strict=True)
-        name = ", ".join(f"{value:g} {output.unit}" for value, output in outputs)
+        name = name_at(report.operating_point, self.settings.plant)
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
@@ -636,6 +639,15 @@ def _schedule(settings: TwinSettings) -> Schedule:
         with one_thread():
             return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
 
+    least = settings.schedule.min_step * np.array(settings.units)
+
+    def unexpected(window: Window, effect: InputEffect) -> FloatArray:
+        with one_thread():
+            return unexpected_movement(window, effect)
+
+    def why_not_moved_in(window: Window) -> str:
+        return why_not_moved(window, settings.plant, least)
+
     return Schedule(
         settings.schedule,
         settings.period,
@@ -643,4 +655,6 @@ def _schedule(settings: TwinSettings) -> Schedule:
         settings.regime_width,
         units=settings.units,
         undetermined=not_determined_by,
+        unmoved=why_not_moved_in,
+        unexpected=unexpected,
     )

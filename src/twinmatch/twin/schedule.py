@@ -11,7 +11,8 @@ replayed session triggers exactly where the live one did. There are two kinds:
 
 What counts is how far the output is expected to move: by the set-point where the loop is known, otherwise by
 the inputs, through the plant's equations. A movement is one by `min_step`, or a lesser one that has lasted:
-the sum of squares determines a gain, and many small movements say as much as a large one.
+the sum of squares determines a gain, and many small movements say as much as a large one. Where the samples
+show that the inputs move the output far more than the defaults in those equations say, the samples count.
 
 In a loop that is known, the twin starts from rest, so the window begins `lead` samples before the regime
 before: it holds two levels and the transition between them. A driven twin needs no levels, and every sample
@@ -34,8 +35,9 @@ from twinmatch.dynamics import Plant
 from twinmatch.dynamics.movement import ExpectedMovement, InputEffect
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting.excitation import unexpected_movement
 from twinmatch.settings import setting
-from twinmatch.signals import OperatingPoint, Sample, Signals, Window, point_of
+from twinmatch.signals import FloatArray, OperatingPoint, Sample, Signals, Window, point_of
 
 _LEAVING: Final = 0.1
 """Share of a least movement from which the output counts as on its way."""
@@ -115,6 +117,26 @@ class Trigger(NamedTuple):
     """Why it is not excited, in a sentence."""
 
 
+class _Reach:
+    """Whether movements have come far enough, or have lasted; in units of the least movement."""
+
+    def __init__(self, index: int, lasting: int) -> None:
+        """Begin at rest at a sample; `lasting` is the sum of squares from which lesser movements count."""
+        self._lasting = lasting
+        self._moving = 0.0
+        self._away = index
+
+    def push(self, index: int, far: float) -> int | None:
+        """Take how far the output is away at a sample; return the index of the first sample of the movement
+        that counts now, if any."""
+        if far < _LEAVING:
+            self._away = index + 1
+        self._moving += far * far
+        if far < 1.0 and self._moving < self._lasting:
+            return None
+        return min(self._away, index)
+
+
 class Movements:
     """Movements of the expected outputs, or of the set-points.
 
@@ -138,8 +160,7 @@ class Movements:
     def rest(self, sample: Sample) -> None:
         """Count from this sample."""
         self._anchor = sample.references
-        self._moving = 0.0
-        self._away = sample.index
+        self._reach = _Reach(sample.index, self._lasting)
         if self._expected is not None:
             self._expected.rest()
             self._expected.take(np.array(sample.inputs))
@@ -151,13 +172,9 @@ class Movements:
             far = float(np.max(np.abs(self._expected.take(np.array(sample.inputs))) / self._least))
         elif sample.references != self._anchor:
             far = float(np.max(np.abs(np.subtract(sample.references, self._anchor)) / self._least))
-        if far < _LEAVING:
-            self._away = sample.index + 1
-        self._moving += far * far
-        if far < 1.0 and self._moving < self._lasting:
-            return None
-        began = min(self._away, sample.index)
-        self.rest(sample)
+        began = self._reach.push(sample.index, far)
+        if began is not None:
+            self.rest(sample)
         return began
 
 
@@ -173,6 +190,8 @@ class Schedule:
         *,
         units: Signals = (1.0,),
         undetermined: Callable[[Window], str] = lambda _: "",
+        unmoved: Callable[[Window], str] = lambda _: "the input did not move",
+        unexpected: Callable[[Window, InputEffect], FloatArray] = unexpected_movement,
     ) -> None:
         """Begin without samples.
 
@@ -184,10 +203,16 @@ class Schedule:
                 rounded to a power of ten of at most a tenth of it.
             units: those of the outputs, in that of the first, in which least step and width are given.
             undetermined: says in words what a window does not determine yet; empty if nothing is left.
+            unmoved: says in words why a quiet window of a loop that is not known is one.
+            unexpected: gives the movement in a window, shape (N, o), of which `effect` expects far less.
         """
         self.settings = settings or ScheduleSettings()
+        self._least = self.settings.min_step * np.array(units)
+        self._unmoved = unmoved
+        self._unexpected = unexpected
         self.period = period
         self._movements = Movements(self.settings, effect, units)
+        self._effect = effect
         self._driven = effect is not None
         self._decimals = [-math.floor(math.log10(width * unit / 10)) for unit in units]
         self._undetermined = undetermined
@@ -206,7 +231,30 @@ class Schedule:
         moved = self._movements.push(sample)
         trigger = None if moved is None else self._on_movement(sample, moved)
         self._samples.append(sample)
+        if self._effect is not None and trigger is None and self._is_due(sample) and not self._waits:
+            shown = self._movement_shown(sample, self._effect)
+            if shown is not None:
+                self._on_movement(sample, shown)
         return trigger or self._on_count(sample)
+
+    def _is_due(self, sample: Sample) -> bool:
+        """Whether the plant is to be judged even if nothing has moved."""
+        return sample.index - self._judged_to >= self.settings.stride
+
+    def _movement_shown(self, sample: Sample, effect: InputEffect) -> int | None:
+        """The first sample of a movement since the newest excited window that the samples show although the
+        inputs' expected effect is far less, if any."""
+        window = self._window(sample.index - self.settings.capacity + 1, sample.index)
+        movement = self._unexpected(window, effect)
+        began = max(self._quiet_since, window.first)
+        since = movement[began - window.first :]
+        reach = _Reach(began, self.settings.min_span)
+        for index, deviation in enumerate(since - since[0], start=began):
+            far = float(np.max(np.abs(deviation) / self._least))
+            first = reach.push(index, far)
+            if first is not None:
+                return first
+        return None
 
     def _restart(self, sample: Sample) -> None:
         self._regime_step: int | None = None
@@ -223,6 +271,8 @@ class Schedule:
         """Whether it began out of rest."""
         self._judged_to = sample.index - 1
         """Last sample of the newest trigger's window."""
+        self._quiet_since = sample.index
+        """The first sample behind the newest excited window."""
         self._movements_from_rest: deque[int] = deque([sample.index + self.settings.lead])
         """First samples of movements out of rest; the start of the record counts as one."""
         self._movements.rest(sample)
@@ -256,8 +306,8 @@ class Schedule:
     def _on_count(self, sample: Sample) -> Trigger | None:
         """The trigger that is due because enough samples have come, if any."""
         settings = self.settings
-        is_due = sample.index - self._judged_to >= self.settings.stride
-        missing = "the input did not move" if self._driven else "the set-point did not move"
+        is_due = self._is_due(sample)
+        missing = ""
         if self._waits:
             lasted = sample.index - self._regime_start
             is_full = lasted >= settings.span
@@ -272,6 +322,8 @@ class Schedule:
             return None
         window = self._window(self._judged_to + 1, sample.index)
         self._judged_to = sample.index
+        if not self._waits:
+            missing = self._unmoved(window) if self._driven else "the set-point did not move"
         return Trigger(sample.index, window, False, self._point(window), missing)
 
     def _point(self, window: Window) -> OperatingPoint:
@@ -298,6 +350,7 @@ class Schedule:
         """The trigger at sample `index` for the excited window that ends with `last`."""
         window = self._window(self._begin(last), last)
         self._judged_to = last
+        self._quiet_since = last + 1
         return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:

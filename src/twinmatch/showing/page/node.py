@@ -31,7 +31,7 @@ from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.shown import Shown
 from twinmatch.showing.page.state import DriveReport, TwinRow
 from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
-from twinmatch.signals import OperatingPoint
+from twinmatch.signals import OperatingPoint, Sample
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.msg import (
@@ -87,7 +87,8 @@ class Dashboard(TwinmatchNode):
             control=self.values["control"],
             settings=lambda: self._settings,
         )
-        self._requests.prepare()
+        if described.plant:
+            self._requests.prepare(len(described.loops))
         self._subscribe()
         self._begin_timers()
         if self.values["tell"]:
@@ -108,13 +109,17 @@ class Dashboard(TwinmatchNode):
             stamp = nanoseconds(message.header.stamp)
             state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
 
+        def take_sample(sample: Sample) -> None:
+            self._requests.prepare(len(sample.references))
+            state.push_sample(sample, time.monotonic())
+
         def take_twin(message: TwinState) -> None:
             values = (tuple(map(float, getattr(message, name))) for name in TwinRow._fields)
             state.push_twin(message.index, TwinRow(*values))
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),
-            (LoopSample, "plant/sample", lambda sample: state.push_sample(sample, time.monotonic()), ALL),
+            (LoopSample, "plant/sample", take_sample, ALL),
             (TwinState, "twin/state", take_twin, ALL),
             (EstimatedReading, "plant/estimate", state.push_estimate, ALL),
             (messages.ExperimentReport, "twin/experiment", state.push_experiment, LATCHED),
@@ -157,7 +162,7 @@ class Dashboard(TwinmatchNode):
 
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(record_of(message))
-        self._requests.prepare()
+        self._requests.prepare(len(self.state.described.loops))
         if not self.values["config"] and message.plant != self._settings.plant.name:
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 

@@ -74,14 +74,13 @@ class Requests:
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
             self._reference: Publisher | None = None
 
-    def prepare(self) -> None:
-        """Get ready to send set-points once the plant has been described as one with a single loop.
+    def prepare(self, loops: int) -> None:
+        """Get ready to send set-points once a plant with a single loop has been described, or its samples
+        have come: without a discriminator nobody describes it.
 
         Those of several loops travel in another type of message, which this page does not send.
         """
-        described = self._state.described
-        has_one_loop = described.plant and len(described.loops) == 1
-        if self.control and has_one_loop and self._reference is None:
+        if self.control and loops == 1 and self._reference is None:
             # Not latched: a restarted controller must not receive an old request.
             quiet = {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
             self._reference = self._node.create_publisher(Float64, "plant/reference", RELIABLE, **quiet)
@@ -198,7 +197,7 @@ class Requests:
             why = f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
             self._state.notify(False, why)
         elif self._reference is None:
-            self._state.notify(False, "not set: the discriminator has not said yet what plant this is")
+            self._state.notify(False, "not set: neither a sample nor a description of the plant has come yet")
         else:
             self._reference.publish(Float64(data=level))
             confirmation = f"requested {level:g} {unit}; the set-point above follows with the next sample"
