@@ -17,7 +17,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twinmatch.controllers.answer import ControllerAnswer, ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
@@ -390,6 +389,8 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
 
     growth = _FAULTS.growth
     if share <= _FAULTS.share:
+        from scipy.optimize import brentq  # noqa: PLC0415 — slow to load
+
         growth = float(brentq(excess, 1.0, _FAULTS.growth, xtol=1e-6))
     if abs(excess(growth)) > _FAULTS.near:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
