@@ -318,6 +318,18 @@ def kernel() -> Any:
     return compiled(space["_twice_it"])
 
 
+def test_the_first_kernel_of_a_first_run_is_reported_at_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Progress, "SILENCE", 3600.0)
+    with Progress("preparing") as progress:
+        progress.advance(1, 4)
+        assert not capsys.readouterr().err
+        assert kernel()(2.0) == 4.0
+        assert kernel()(2.0) == 4.0
+    assert capsys.readouterr().err.count("compiling") == 1
+
+
 def test_what_is_compiled_is_said_once_by_progress_and_screen(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -325,7 +337,8 @@ def test_what_is_compiled_is_said_once_by_progress_and_screen(
     with Progress() as progress:
         progress.advance(1, 4)
         assert kernel()(2.0) == 4.0
-    assert "judging, compiling twice it once on this machine, 25% done" in capsys.readouterr().err
+    words = "judging, compiling twice it once on this machine (1 so far), 25% done"
+    assert words in capsys.readouterr().err
     stream = io.StringIO()
     screen = Screen(Console(file=stream, force_terminal=True, width=100, height=40), "kit", 1.0, 600)
     screen.open()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.signal import max_len_seq
 
 from twinmatch.controllers import (
     Contender,
@@ -21,7 +22,7 @@ from twinmatch.controllers import (
     goal_named,
     next_experiment,
 )
-from twinmatch.controllers.next_experiment import ENOUGH, NEARLY, _Search
+from twinmatch.controllers.next_experiment import ENOUGH, NEARLY, _maximal_sequence, _Search
 from twinmatch.dynamics import (
     Drive,
     Equations,
@@ -251,3 +252,7 @@ def test_what_cannot_be_asked_is_said() -> None:
     member = lab(known_to(0.2))
     with pytest.raises(ControllerError, match="no course keeps the bands"):
         next_experiment([member], goal_named("parameters", [member], terms(22.0)), terms(22.0))
+
+
+def test_the_binary_sequence_is_the_maximal_one() -> None:
+    np.testing.assert_array_equal(_maximal_sequence(), max_len_seq(5)[0])

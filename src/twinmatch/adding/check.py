@@ -28,6 +28,7 @@ from twinmatch.adding.trial import (
 )
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
 from twinmatch.dynamics.equations import outputs_of, written_equations
+from twinmatch.signals import FloatArray
 
 _OF_STRUCTURE: Final = re.compile(r"structure ('[^']*'|\"[^\"]*\"): ")
 _NUMBER: Final = re.compile(r"(?<![\w.])-?\d")
@@ -332,8 +333,6 @@ def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
 def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
     """Whether the plant can be simulated within the bounds, at points spread over them and sampled every
     `period` s; None: as fast as each needs."""
-    from scipy.stats import qmc  # noqa: PLC0415 (takes half a second, used only here)
-
     free = [name for name in model.structure.free if name in model.declared]
     if not free:
         return
@@ -342,7 +341,7 @@ def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
     except PlantError:
         return
     bad: list[str] = []
-    for row in qmc.Halton(len(free), seed=5).random(_SIMULATION.points):
+    for row in _spread_points(len(free), _SIMULATION.points):
         values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
         try:
@@ -361,6 +360,16 @@ def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
         problem = f"structure {model.structure_name!r}: cannot be simulated at {share}"
         todo = "narrow the bounds to values that are physically possible"
         yield Finding(f"{problem} within the bounds, such as {bad[0]}", todo)
+
+
+def _spread_points(dimensions: int, count: int) -> FloatArray:
+    """Points spread over a unit cube, shape (count, dimensions), the same in every run.
+
+    A Latin hypercube: of as many slices of each dimension as there are points, every one holds one of them.
+    """
+    random = np.random.default_rng(5)
+    slices = random.permuted(np.tile(np.arange(count), (dimensions, 1)), axis=1).T
+    return np.asarray((slices + random.random((count, dimensions))) / count, dtype=np.float64)
 
 
 def _within(model: Model, name: str, part: float) -> float:

@@ -7,6 +7,7 @@ import multiprocessing
 from collections.abc import Callable, Iterable
 from multiprocessing.process import BaseProcess
 
+from twinmatch.cli.shared import Progress
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.dynamics.store import cache_folder
@@ -26,10 +27,18 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: there is no such plant, or its equations cannot be used.
     """
-    if options.plant:
-        derive_plants([find_plant(options.plant)])
-        return 0
-    # A compiler uses one core, so two processes compile. The engine uses what the others compile.
+    with Progress("preparing"):
+        if options.plant:
+            derive_plants([find_plant(options.plant)])
+            return 0
+        return _compile_all()
+
+
+def _compile_all() -> int:
+    """Compile all that comes with twinmatch; returns the exit code.
+
+    A compiler uses one core, so two processes compile. The engine uses what the others compile.
+    """
     models = compile_beside(compare_models)
     derive_plants(PLANTS.values())
     models.join()

@@ -223,7 +223,8 @@ def console_for(width: int) -> Console:
 class Progress:
     """A context manager with a progress bar on standard error, shown from the first call of `advance`.
 
-    Without a terminal, or on a dumb one, work that takes longer than `SILENCE` is reported in lines.
+    Without a terminal, or on a dumb one, work that takes longer than `SILENCE` is reported in lines, and
+    compilation, for which a first run waits a minute or more, as soon as it begins.
     """
 
     SILENCE: ClassVar = 10.0
@@ -236,6 +237,8 @@ class Progress:
         self._bar: progress.Progress | None = None
         self._shown = False
         self._progress = 0, 0
+        self._compiled = 0
+        """Kernels that have been compiled for this work, the one in progress included."""
 
     def __enter__(self) -> Progress:
         from twinmatch.compiled import told  # noqa: PLC0415 — slow
@@ -252,7 +255,11 @@ class Progress:
             self._bar.stop()
 
     def _compile(self, compiled: str) -> None:
-        self.show(f"{self._doing}, compiling {compiled} once on this machine", *self._progress)
+        if not self._compiled:
+            self._printed_at -= self.SILENCE  # the next line is due
+        self._compiled += 1
+        doing = f"{self._doing}, compiling {compiled} once on this machine ({self._compiled} so far)"
+        self.show(doing, *self._progress)
 
     def advance(self, parts_done: int, total: int) -> None:
         """Show that `parts_done` of `total` are done."""
@@ -271,7 +278,7 @@ class Progress:
             self._bar.start()
         if self._bar is not None:
             self._bar.update(self._task, description=doing, completed=parts_done, total=total or None)
-        elif not self._shown and time.monotonic() - self._printed_at >= self.SILENCE:
+        elif not self._shown and time.monotonic() - self._printed_at > self.SILENCE:
             self._printed_at = time.monotonic()
             share = f", {parts_done / total:.0%} done" if total else ""
             print(f"twinmatch: {doing}{share}", file=sys.stderr, flush=True)

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.decoding import decoded, document_type, given_keys
@@ -243,6 +242,8 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     It aims at the states and commands at which the model is at rest on its set-points under the estimated
     disturbances: x⁺ = A·x + B·u + Bd·d, y = C·x + Cd·d; weights Qs of the outputs and Rs of the commands.
     """
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 — a quarter of a second, seldom needed
+
     matrices = _arrays(_Regulator, given)
     A, B, C, Bd, Cd, K = (matrices[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
     u0 = matrices["u0"]

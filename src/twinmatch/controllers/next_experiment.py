@@ -17,7 +17,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twinmatch.controllers.answer import ControllerAnswer, ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
@@ -390,6 +389,8 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
 
     growth = _FAULTS.growth
     if share <= _FAULTS.share:
+        from scipy.optimize import brentq  # noqa: PLC0415 — slow to load
+
         growth = float(brentq(excess, 1.0, _FAULTS.growth, xtol=1e-6))
     if abs(excess(growth)) > _FAULTS.near:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
@@ -557,17 +558,26 @@ def _staircases(terms: ExperimentTerms) -> list[Staircase]:
     return table
 
 
+def _maximal_sequence() -> NDArray[np.bool_]:
+    """The binary sequence of a shift register of five bits, whose 31 values repeat no earlier.
+
+    `scipy.signal.max_len_seq` gives the same, but takes half a second to import.
+    """
+    values = [True] * 5
+    while len(values) < 2**5 - 1:
+        values.append(values[-5] != values[-2])
+    return np.array(values)
+
+
 def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, FloatArray]:
     """What one would do without a computer in the same time: a step by a tenth of the range, to the side with
     more room, a random binary sequence of as much to both sides, nothing."""
-    from scipy.signal import max_len_seq  # noqa: PLC0415 — slow to load
-
     low, high = levels
     size = _PLAIN * (high - low)
     step = np.where(high - base >= base - low, size, -size)
-    sequence = max_len_seq(5)[0]
+    sequence = _maximal_sequence()
     repeats = max(len(rows) // sequence.size, 1)
-    is_high = np.resize(np.repeat(sequence, repeats), len(rows)).astype(bool)
+    is_high = np.resize(np.repeat(sequence, repeats), len(rows))
     binary = np.where(is_high[:, None], base + step, base - step)
     return {
         "step": np.tile(base + step, (len(rows), 1)),

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from scipy.optimize import Bounds, NonlinearConstraint, approx_fprime, minimize
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
@@ -196,6 +195,8 @@ class _Tuning:
 
     def _slope(self, x: FloatArray) -> FloatArray:
         """Derivatives of the criterion by x."""
+        from scipy.optimize import approx_fprime  # noqa: PLC0415 — slow to load, as below
+
         if self.aim == "quiet":
             return np.asarray(approx_fprime(x, self.criterion), dtype=np.float64)
         value, slope = self.cost(x)
@@ -203,6 +204,8 @@ class _Tuning:
 
     def search(self, reach: float) -> FloatArray:
         """The best x within ± reach, by sequential quadratic programming."""
+        from scipy.optimize import Bounds, NonlinearConstraint, minimize  # noqa: PLC0415 — half a second
+
         start = np.zeros(len(self.names))
         origin = self.cost(start)[0]
         limits = [NonlinearConstraint(self.sensitivities, -np.inf, self.ceiling)]

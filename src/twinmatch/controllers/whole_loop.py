@@ -18,7 +18,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
 
 from twinmatch.comparing import having_value
 from twinmatch.dynamics import Linear, LinearLaw, largest_eigenvalue, loop_matrix
@@ -190,6 +189,8 @@ def _critical_delays(closed: _Response, grid: FloatArray, values: NDArray[np.com
 
 def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], float]) -> list[float]:
     """Frequencies at which a quantity, known on the grid, is zero."""
+    from scipy.optimize import brentq  # noqa: PLC0415 — half a second that few of those who import this need
+
     signs = np.sign(values)
     places = np.flatnonzero(signs[1:] * signs[:-1] < 0)
     return [float(brentq(exact, grid[k], grid[k + 1], xtol=1e-14)) for k in places]
@@ -197,6 +198,8 @@ def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], fl
 
 def _sensitivity(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> float:
     """The largest |1 + L|: the largest on the grid, or the top of the peak around it."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 — as above
+
     sizes = np.abs(1.0 + values)
     k = int(np.argmax(sizes))
     low = grid[max(k - 1, 0)]

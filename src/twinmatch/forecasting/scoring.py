@@ -91,7 +91,6 @@ class Calibration:
         self.leads = leads
         self._kept = kept
         self._recent = recent
-        self._signals = np.arange(signals)
         self._uncovered = np.minimum(stride / np.array(leads), 1.0)
         """Share of a forecast that the one before did not cover, shape (L,)."""
         # In units of the local scale, beginning with the prior; those from `_first` to `_end` count.
@@ -126,15 +125,13 @@ class Calibration:
             widths: those that its bands had, shape (signals, L).
         """
         size = quotients.shape[1]
-        learned = []
-        columns = []
-        for k, lead in enumerate(self.leads):
-            if before < lead <= size and not np.isnan(quotients[0, lead - 1]):
-                learned.append(k)
-                columns.append(lead - 1)
+        reached = [k for k, lead in enumerate(self.leads) if before < lead <= size]
+        at_reached = quotients[:, [self.leads[k] - 1 for k in reached]]
+        is_read = ~np.isnan(at_reached[0])
+        learned = [k for k, read in zip(reached, is_read.tolist(), strict=True) if read]
         if not learned:
             return
-        at_leads = quotients[:, columns]
+        at_leads = at_reached[:, is_read]
         is_inside = at_leads <= widths[:, learned]
         self._inside[:, learned] = self._kept * self._inside[:, learned] + is_inside
         self._compared[learned] = self._kept * self._compared[learned] + 1.0
@@ -190,9 +187,11 @@ class Calibration:
     @property
     def widths(self) -> FloatArray:
         """Half width of a band in standard deviations, at every lead, shape (signals, L)."""
-        for lead in self._stale:
-            self._quantiles[:, lead] = self._quantile(lead)
-        self._stale.clear()
+        if self._stale:
+            weights_by_age = np.array(self._weights)
+            for lead in self._stale:
+                self._quantiles[:, lead] = self._quantile(lead, weights_by_age)
+            self._stale.clear()
         return self._quantiles * self._scales
 
     @property
@@ -215,20 +214,27 @@ class Calibration:
             scales[signal] = scales_of_output
         return scales
 
-    def _quantile(self, lead: int) -> FloatArray:
-        """The weighted quantile of the quotients of each signal that a band has to hold, shape (signals,)."""
-        quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]].T
-        ages = np.arange(len(quotients))[::-1]
+    def _quantile(self, lead: int, weights_by_age: FloatArray) -> list[float]:
+        """The weighted quantile of the quotients of each signal that a band has to hold.
+
+        Signal by signal: of so few quotients, arrays of one row are sorted in a third of the time.
+        """
+        quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]]
+        size = quotients.shape[1]
+        ages = np.arange(size - 1, -1, -1)
         # Those of the prior are as old as the first that was learned.
-        weights = np.array(self._weights)[np.minimum(ages, self._learned[lead])]
-        order = np.argsort(quotients, axis=0, kind="stable")
-        # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
-        # since it shares less with those before than they do with each other.
-        weight_of_next = np.where(self._is_output, self._uncovered[lead] ** -0.5, 1.0)
-        share = np.cumsum(weights[order], axis=0) / (weights.sum() + weight_of_next)
-        ranks = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
-        places = order[ranks, self._signals]
-        return np.asarray(quotients[places, self._signals])
+        weights = weights_by_age[np.minimum(ages, self._learned[lead])]
+        weight_of_all = weights.sum()
+        quantiles = []
+        for of_signal, is_output in zip(quotients, self._is_output, strict=True):
+            # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
+            # since it shares less with those before than they do with each other.
+            weight_of_next = self._uncovered[lead] ** -0.5 if is_output else 1.0
+            order = of_signal.argsort(kind="stable")
+            share = weights[order].cumsum() / (weight_of_all + weight_of_next)
+            rank = min(int(share.searchsorted(CONFIDENCE)), size - 1)
+            quantiles.append(float(of_signal[order[rank]]))
+        return quantiles
 
 
 _LN10: Final = float(np.log(10.0))

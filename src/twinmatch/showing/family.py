@@ -17,7 +17,7 @@ from twinmatch.comparing import CandidateScore, OrderScore, SimoModel, Verdict, 
 from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import Match
+from twinmatch.fitting import ORDERS, Match
 from twinmatch.showing.quantities import (
     ParameterFormat,
     number,
@@ -53,8 +53,13 @@ class Member:
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
         """Box–Jenkins models of that response, one per order."""
+        return self._identified(ORDERS)
+
+    def _identified(self, orders: Sequence[str]) -> tuple[SimoModel, ...]:
         with one_thread():
-            return identify(self.response, scale=self.settings.model_scale, lead=self.settings.schedule.lead)
+            return identify(
+                self.response, orders, scale=self.settings.model_scale, lead=self.settings.schedule.lead
+            )
 
     @property
     def fitted(self) -> bool:
@@ -77,8 +82,11 @@ class Member:
         return response_on(self.score.parameters, self.window, self.settings.law)
 
     def simulated(self, order: str) -> Window:
-        """The measured window as simulated by the model of this order: B/F alone, as for the gain."""
-        model = next(m for m in self.models if m.order == order)
+        """The measured window as simulated by the model of this order: B/F alone, as for the gain.
+
+        The model is reached through the lower orders, as in the discriminator; higher ones take longest.
+        """
+        model = self._identified(ORDERS[: ORDERS.index(order) + 1])[-1]
         of_y = model.y
         of_u = model.u
         measured = self.measured

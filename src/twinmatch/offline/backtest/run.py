@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -220,20 +221,24 @@ def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     with one_thread():
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
-    of_roles = [(role, name, forecasts[name]) for role, name in asked.who.items()]
+    of_constant = []
     nominal = asked.who.get(NOMINAL)
     if nominal is not None and len(origin.past) > SKIPPED + 1:
         parameters = asked.outlooks[nominal].parameters
         with one_thread():
             constant = with_constant_band(forecasts[nominal], parameters, origin.past, settings.law)
-        of_roles.append((CONSTANT, nominal, constant))
-    of_candidates = [(name, name, forecast) for name, forecast in forecasts.items()]
+        of_constant.append((CONSTANT, nominal, constant))
     asked_peers = ask(asked.arx, origin)
     of_peers = [(PEERS[name], "", asked_peers[name]) for name in names]
     marked = []
     for k, plant in outputs_alone(settings.plant):
         scored = partial(scores, session, horizons, origin.alone(k), plant, k)
-        marked.append([*scored(of_roles), *best_in_hindsight(scored(of_candidates)), *scored(of_peers)])
+        of_candidates = {n: list(scored([(n, n, forecast)])) for n, forecast in forecasts.items()}
+        of_roles = [
+            replace(mark, who=role) for role, name in asked.who.items() for mark in of_candidates[name]
+        ]
+        hindsight = best_in_hindsight(chain.from_iterable(of_candidates.values()))
+        marked.append([*of_roles, *scored(of_constant), *hindsight, *scored(of_peers)])
     return _Graded(marked, forecasts[asked.who[LEADER]])
 
 
